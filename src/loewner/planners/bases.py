@@ -1,9 +1,9 @@
 """Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
 
-The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The search estimates costs by
-the distance to the goal on a grid of the map; distances in cells that are blocked at all tried headings count several
-times. Poses are taken from the queue in batches, since the overhead of a kernel call takes as much time as the proof of
-forty arcs.
+The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The estimated cost of a pose
+is its distance from the goal on a grid of the map. The grid lengthens distances in cells that are blocked at all tried
+headings. Poses are taken from the queue in batches, because one kernel call has as much overhead as the proofs of forty
+arcs.
 """
 
 from __future__ import annotations
@@ -41,44 +41,44 @@ from loewner.robots.proofs.proofs import ProofOptions, refuse_starts
 
 Kind = Literal["differential", "car"]
 
-# The angle of an arc of the lattice, and of a turn in place [rad]; and the length of the longest line, in steps.
+# Angle of the lattice's arcs and turns in place [rad], and length of the longest line, in steps.
 STEP, LONG = math.pi / 8.0, 4.0
 
-# Number of searches, and the factor by which each search refines the motions. A search begins when the previous one has
-# tried all its poses.
+# Number of searches, and the factor by which each search refines the motions of the previous one. The next search
+# begins when all poses of a search have been tried.
 LEVELS, FINER = 3, 4.0
 
 # Size of the lattice's cells: their edge, in steps, and the number of headings in a whole turn.
 EDGE, HEADINGS = 0.8, 24
 
-# Number of poses that are taken from the queue at a time, and of ways to the goal that are tried from each.
+# Number of poses that are taken from the queue at a time, and number of ways to the goal that are tried from each pose.
 BATCH, SHOTS = 16, 4
 
-# Largest number of cells of the grid; number of headings that are tried in each cell; and the factor by which a blocked
-# cell lengthens distances.
+# Largest number of grid cells, number of headings that are tried in each cell, and the factor by which a blocked cell
+# lengthens distances.
 GRID, TRIED, BLOCKED = 2**13, 4, 5.0
 
-# Weight of the estimate in the order of the queue. A larger weight makes searches faster and ways longer; most of the
-# additional length is removed when ways are shortened.
+# Weight of the estimate in the order of the queue. A larger weight makes searches faster and ways longer. Shortening
+# removes most of the additional length.
 GREED = 1.5
 
 # Cost of a change between forwards and backwards, as a share of the cost of a step.
 CHANGE = 1.0
 
-# In one of SHOOTING batches, ways to the goal are tried from the first MOST_SHOOTING poses whose distance on the grid
-# is at most DETOUR times the straight distance plus two radii.
+# One batch in SHOOTING tries ways to the goal. It tries them from the first MOST_SHOOTING poses that are almost
+# straight ahead of the goal: their distance on the grid is at most DETOUR times the straight distance plus two radii.
 MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
-# Number of passes that shorten a way, and of poses on the way.
+# Number of passes that shorten a way, and number of poses into which a pass divides the way.
 PASSES, PLACES = 3, 32
 
-# Largest radius, and largest distance between limits [m].
+# Largest allowed radius of turns, and largest allowed distance between a joint's limits [m].
 LARGEST = 1e6
 
-# Lengths and turns up to NOTHING [m, rad] are rounding errors of formulas.
+# Lengths and turns of at most NOTHING [m, rad] count as rounding errors of formulas.
 NOTHING = 1e-10
 
-# A pass that saves less than the share GAIN of the cost is the last.
+# Shortening ends with the first pass that saves less than the share GAIN of the cost.
 GAIN = 0.01
 
 
@@ -112,7 +112,7 @@ class Base:
     upper: Floats
 
     def ways(self, a: Floats, b: Floats) -> Ways:
-        """Return the ways by which the base could drive from poses a to poses b if there were no obstacles."""
+        """Return the ways from poses a to poses b that the base could drive without obstacles."""
         if self.kind == "car":
             return steering.car(a, b, self.radius, self.reverse)
         return steering.differential(a, b, self.reverse)
@@ -139,7 +139,7 @@ class Base:
     def free(self, poses: Floats, ways: Floats) -> Bools:
         """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
 
-        Midpoints and ends of motions are tried first, since a way that collides there is rejected without a proof.
+        The midpoints and ends of motions are tried first: if one of these poses collides, the way needs no proof.
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]
@@ -187,13 +187,13 @@ def plan_drive(
     search: Search | None = None,
     proof: bool = False,
 ) -> Drive:
-    """Plan the motion of a mobile base that cannot drive sideways, in the joints x, y and theta of its robot.
+    """Plan a drive of a mobile base that has the joints x, y and theta, and cannot move sideways.
 
     Parameters
     ----------
     checker : CollisionChecker
-        A checker whose robot has a base from `Robot.footprint` or `Robot.add_base`; the base faces along x at theta =
-        0. The origin of the base follows arcs and lines. Put the origin midway between the driven wheels of a
+        A checker whose robot has a base from `Robot.footprint` or `Robot.add_base`. At theta = 0, the base faces along
+        x. The origin of the base follows arcs and lines. Put the origin midway between the driven wheels of a
         differential base, or in the middle of a car's rear axle.
     start, goal : array_like, shape (dof,)
         Only the base moves, so all other joints must have the same values at the start and the goal.
@@ -201,21 +201,20 @@ def plan_drive(
     radius : float, optional
         Least radius of a car's turns, in metres; required for a car.
     reverse : bool
-        Whether the base may drive backwards. On one arc, a car that drives only forwards may turn by more than half a
-        turn.
+        Whether the base may drive backwards. If a car cannot reverse, a single arc may be longer than half a turn.
     joint_error
         As for `plan`.
     search : Search, optional
-        The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
-        proven.
+        The fields `max_iterations`, `timeout` and `simplify` apply. The field `planner` must not be set. Motions are
+        always proven.
     proof : bool
         Also write a `Proof` of the drive, as `CollisionChecker.certify_trajectory` does.
 
     Returns
     -------
     Drive
-        Arcs, straight lines and turns in place, proven FREE as a whole. The drive ends at the goal, or whole turns away
-        from it.
+        Arcs, straight lines and turns in place, proven FREE as a whole. The drive ends at the goal, or at a heading
+        that differs from the goal's by whole turns.
 
     Raises
     ------
@@ -262,7 +261,7 @@ def plan_drive(
         better = _shortened(drives, path)
         ways = [_merged(better), better, path]
     options = ProofOptions(TOLERANCE, judge.errors)
-    for way in ways:  # motions that are proven one by one are nearly always proven as a whole
+    for way in ways:  # a way whose motions are proven one by one is nearly always proven as a whole
         drive = _drive(checker.robot, drives, way, there)
         drive = replace(drive, iterations=iterations, seconds=time.monotonic() - begin)
         curve = curves.curve_of(checker.robot, drive, "drive")
@@ -316,7 +315,7 @@ def _base(
 
 
 def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
-    """Return how far the robot reaches from the point about which it turns in place, in metres."""
+    """Return the robot's largest distance from the point about which it turns in place, in metres."""
     rest = q.copy()
     rest[list(columns)] = 0.0
     poses, reach = robot.forward_kinematics(rest), 0.0
@@ -332,7 +331,7 @@ def _reach(robot: Robot, columns: tuple[int, int, int], q: Floats) -> float:
 
 
 def _found(base: Base, start: Floats, goal: Floats, most: int, until: float) -> tuple[Path, int]:
-    """Search from the end with less room, if the base may reverse; use finer motions if coarse ones find no way."""
+    """Search for a way, with finer motions if necessary. A base that may reverse begins at the end with less room."""
     steps, ends = base.lattice(), np.stack([start, goal])
     room = base.free(np.repeat(ends, len(steps), axis=0), np.tile(steps, (2, 1))[:, None]).reshape(2, -1).sum(axis=1)
     swapped = base.reverse and bool(room[1] < room[0])
@@ -360,9 +359,10 @@ def _search(
 ) -> tuple[Path | None, int, tuple[float, float, float]]:
     """Search the lattice from the start until a way from one of its poses to the goal is proven.
 
-    Finer motions, by powers of `FINER`, lead to finer cells, and cost as much as coarse ones. The result has three
-    parts: the way; the number of poses from which the search continued; and, for the pose nearest to the goal, the cost
-    of its distance and turn from the goal, the distance, and the turn.
+    Motions that are finer by a power of `FINER` lead to cells that are finer by the same factor. A finer motion costs
+    as much as the coarse motion that it is a part of. The result has three parts: the way, the number of poses from
+    which the search continued, and the gap between the goal and the nearest pose. The gap consists of a cost, a
+    distance and a turn.
     """
     fine, coarse = FINER ** np.arange(finest + 1.0), base.lattice()
     steps, costs = np.concatenate([coarse / scale for scale in fine]), np.tile(_costs(coarse), finest + 1)
@@ -471,12 +471,12 @@ def _changes(ways: Floats) -> Floats:
 
 
 def _needed(ways: Floats) -> Floats:
-    """Leave out motions that are no larger than rounding errors."""
+    """Remove motions that are no larger than rounding errors."""
     return np.asarray(ways[np.abs(ways).max(axis=1) > NOTHING])
 
 
 def _along(start: Floats, ways: Floats) -> Path:
-    """Drive motions, shape (k, 2)."""
+    """Return the path that results from driving motions, shape (k, 2)."""
     return Path(driven(start, ways[:, 0], ways[:, 1]), ways)
 
 
@@ -496,7 +496,7 @@ class Grid:
 
     @classmethod
     def of(cls, base: Base, goal: Floats) -> Grid:
-        """Compute distances along eight directions; blocked cells count `BLOCKED` times."""
+        """Compute distances over the eight neighbours of each cell. Blocked cells are `BLOCKED` times as long."""
         from scipy.sparse import csr_matrix  # not needed to plan for arms, nor to build the library
         from scipy.sparse.csgraph import dijkstra
 
@@ -541,7 +541,7 @@ class Grid:
 
 
 def _shortened(base: Base, path: Path) -> Path:
-    """Replace parts of a way by direct ways between poses on it, until a pass hardly shortens it."""
+    """Replace parts of a way with direct ways between its poses, until a pass hardly shortens the way."""
     for _ in range(PASSES):
         better, before, after = _pass(base, path)
         path = better if after < before else path
@@ -551,7 +551,7 @@ def _shortened(base: Base, path: Path) -> Path:
 
 
 def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
-    """Return the cheapest sequence of the path's motions and of proven ways between its poses, and both costs."""
+    """Combine the path's motions and proven ways between its poses as cheaply as possible. Also return both costs."""
     path = _cut(path)
     n, ways = len(path.poses), path.motions[:, None]
     plain = _costs(path.motions) + CHANGE * base.step * _changes(path.motions)
@@ -570,7 +570,7 @@ def _pass(base: Base, path: Path) -> tuple[Path, float, float]:
 
 
 def _cheapest(cost: Floats) -> list[int]:
-    """Return the nodes of the cheapest sequence from the first to the last node; edges lead only to later nodes."""
+    """Return the nodes of the cheapest way from the first node to the last one. Edges only lead to later nodes."""
     n = len(cost)
     least, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
     least[0] = 0.0
@@ -585,7 +585,7 @@ def _cheapest(cost: Floats) -> list[int]:
 
 
 def _cut(path: Path) -> Path:
-    """Cut the motions of a way into equal parts, so that it has about `PLACES` poses."""
+    """Cut the motions of a path into equal parts, so that the path has about `PLACES` poses."""
     path = _merged(path)
     sizes = np.abs(path.motions).max(axis=1)
     counts = np.maximum(np.ceil(sizes / (sizes.sum() / PLACES)), 1.0).astype(np.int64)
@@ -593,7 +593,7 @@ def _cut(path: Path) -> Path:
 
 
 def _merged(path: Path) -> Path:
-    """Join successive motions on the same circle or line, or in the same place, if they turn by at most half a turn."""
+    """Join successive motions on one circle, on one line or in one place, if their turns sum to at most half a turn."""
     ways = [path.motions[0]]
     for way in path.motions[1:]:
         (length, turn), sums = ways[-1], ways[-1] + way

@@ -1,7 +1,7 @@
-"""Brakes of a robot: either joint by joint, leaving the path, or along the path.
+"""Compute how a robot brakes: each joint separately, leaving the path, or all joints along the path.
 
-The kernels in `_kernels.robots.brakes` compute many brakes at a time, on paths of straight motions and joint by joint.
-On a trajectory with blends, the speed falls on straight lines, and the robot passes blends at reduced speed.
+The kernels in `_kernels.robots.brakes` compute many brakes at a time, either joint by joint or on paths of straight
+motions. On a trajectory with blends, the robot brakes on straight lines, and passes blends at the reduced speed.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from loewner._native import entries
 from loewner.errors import InputError, PlanningError
 from loewner.planners.joint_limits import JointLimits, limits_by_name
 
-# A piece is straight if its velocities point along the segment between its ends, up to the share STRAIGHT of the
-# segment and of the distance covered at these velocities.
+# A piece is straight if its velocities point along the segment between its ends. The tolerance is the share STRAIGHT of
+# the segment and of the distance covered at these velocities.
 STRAIGHT = 1e-9
 
-# A line that is too short for a stop by at most the share ROUNDED counts as long enough: the trajectory itself may stop
-# at the end of the line.
+# If a line is too short for a stop by at most the share ROUNDED, it counts as long enough, because the trajectory
+# itself may stop at the end of the line.
 ROUNDED = 1e-9
 
-# Limits that are lower than the trajectory's own limits by at most the share EQUAL count as equal.
+# Limits count as equal to the trajectory's own limits if they are lower by at most the share EQUAL.
 EQUAL = 1e-6
 
 # On a line that is too short for a stop, the robot keeps at least the share SLOWEST of its speed, so that it does not
 # creep on the next blend.
 SLOWEST = 0.5
 
-# Number of halvings of the range that contains the lowest speed at the end of a line.
+# How often the range that contains the lowest speed at the end of a line is halved.
 HALVINGS = 64
 
 
 class Brakes(NamedTuple):
-    """Brakes as states at the times at which a joint's acceleration, or its jerk if limited, jumps.
+    """Brakes, described by states at the times at which the acceleration (or the jerk, if limited) of a joint jumps.
 
     Attributes
     ----------
@@ -46,10 +46,10 @@ class Brakes(NamedTuple):
     states : ndarray, shape (n, most, 3, dof)
         The position at each time, and the velocity and acceleration just after it.
     counts : ndarray of int64, shape (n,)
-        Number of times that describe each brake; 0 for a brake that does not end on the path.
+        Number of times that describe each brake; 0 if the brake does not end on the path.
     needed : ndarray of int64, shape (n,)
-        For each brake, the index of the first row of the path that is not before the end of the brake, or the number of
-        rows if the brake ends later. 0 for brakes that leave the path.
+        For each brake, the index of the first row of the path at or after the end of the brake, or the number of rows
+        if the brake ends after all rows. 0 for brakes that leave the path.
     """
 
     times: Floats
@@ -68,7 +68,7 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on motions between rows, shape (k, dof), passed at the times `at`: one brake per time in `begins`."""
+        """Stop on motions between rows, shape (k, dof), that are passed at the times `at`. Brakes begin at `begins`."""
         brakes, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *brakes)
         return brakes
@@ -103,7 +103,7 @@ class Brakes(NamedTuple):
         return courses, seconds, first
 
     def whole(self, cubic: bool, until: Floats) -> tuple[Floats, Floats]:
-        """Return one course for each brake, including the rest after it, and the distance of the brake from its course.
+        """Return one course per brake, including the rest after the stop, and each brake's distance from its course.
 
         Parameters
         ----------
@@ -231,14 +231,14 @@ def _too_late(left: float) -> str:
 
 
 def _shares(way: Floats, strongest: Floats, jerk: Floats | None) -> tuple[float, float]:
-    """Return limits of the acceleration along a way, and of its rate of change, in ways per s² and per s³."""
+    """Return limits of the acceleration and of the jerk along a way, in ways per s² and per s³."""
     moves = way != 0
     steep = np.inf if jerk is None else float((jerk[moves] / np.abs(way[moves])).min())
     return float((strongest[moves] / np.abs(way[moves])).min()), steep
 
 
 def _slowed(v: float, a: float, low: float, gain: float, steep: float) -> tuple[Floats, Floats]:
-    """Return the fastest change of a speed to a lower speed at which the acceleration is zero.
+    """Return the fastest change to a lower speed, at which the acceleration is zero.
 
     Returns
     -------
@@ -253,7 +253,7 @@ def _slowed(v: float, a: float, low: float, gain: float, steep: float) -> tuple[
 
 
 def _end_of_line(rest: Timed, k: int) -> int:
-    """Return the last knot of the straight line that begins at a knot; the knot itself if a curve begins there."""
+    """Return the last knot of the straight line that begins at a knot, or the knot itself if a curve begins there."""
     last, way = k, rest.knots[k + 1] - rest.knots[k]
     j, size = int(np.abs(way).argmax()), 0.0
     while last < len(rest.blended) and not rest.blended[last] and way[j] != 0:
@@ -270,7 +270,7 @@ def _end_of_line(rest: Timed, k: int) -> int:
 def _braked_on_line(
     rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk: Floats | None
 ) -> tuple[Timed, float] | None:
-    """Stop on a straight line, or slow down to no less than `SLOWEST`; None if the line is too short even for that.
+    """Stop on a straight line, or slow down to at least `SLOWEST`; None if the line is too short even for this.
 
     Returns
     -------
@@ -316,7 +316,7 @@ def _on_line(q: Floats, way: Floats, times: Floats, states: Floats, bent: bool) 
 
 
 def _slower(rest: Timed, k: int, last: int, rate: float, strongest: Floats, jerk: Floats | None) -> Timed:
-    """Return pieces of the trajectory at a lower rate, without the first state."""
+    """Return pieces of the trajectory, passed at a lower rate, without the first state."""
     T, after = np.diff(rest.times[k : last + 1])[:, None], slice(k + 1, last + 1)
     if rest.bends is None or jerk is None:
         pushes, bends, steep = np.diff(rest.rates[k : last + 1], axis=0) / T, None, False

@@ -16,11 +16,11 @@ from loewner.robots.checking.problem import Problem
 # Additional cost of a motion in contact, as a multiple of its length.
 RISE = 9.0
 
-# Smallest number of motions into which a path is divided, and largest number that may result.
+# Smallest number of motions into which a path is divided, and largest number of motions of the result.
 MOTIONS, MOST_MOTIONS = 48, 400
 
-# Steps of a point, as shares of a motion's length: the first step, the factors after a success and after a failure, and
-# the step below which the point is no longer moved.
+# Steps of a point, as shares of a motion's length: the first step; the factor that changes the step after a success,
+# and after a failure; and the step below which the point is no longer moved.
 FIRST_STEP, LONGER, SHORTER, LEAST_STEP = 1.0, 1.5, 0.5, 1e-3
 
 # A point is left out if the cost rises by at most the share TOLERATED.
@@ -34,15 +34,15 @@ SHARE = 1 / 128
 class Clearing:
     """The cost of a path near obstacles.
 
-    The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the distance
-    from the robot to the nearest body of the scene that is not attached to the robot, or `wanted` if that is smaller.
-    The integral is computed by the trapezoidal rule.
+    The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the robot's
+    distance from the nearest unattached body of the scene, or `wanted` if that is smaller. The integral is computed by
+    the trapezoidal rule.
 
     Attributes
     ----------
     judge : Judge
     ready : Problem
-        The pairs that consist of a body moved by the robot and another body.
+        The pairs of a body that the robot moves and another body.
     weights : ndarray, shape (dof,)
     wanted : float
         The wanted distance, in metres.
@@ -55,7 +55,7 @@ class Clearing:
 
     @classmethod
     def of(cls, judge: Judge, weights: Floats, wanted: float) -> Clearing:
-        """Make the cost for the state of the scene to which a judge refers."""
+        """Make the cost for the scene of a judge, in the state that the judge refers to."""
         ready = judge.ready
         return cls(judge, ready.only(np.flatnonzero((ready.pairs >= len(ready.link)).any(axis=1))), weights, wanted)
 
@@ -65,7 +65,7 @@ class Clearing:
         return float(self._costs(path[:-1], path[1:], SHARE * lengths.sum()).sum())
 
     def least_distance(self, path: Floats) -> float:
-        """Compute the least distance from the scene among the points at which the cost is computed."""
+        """Compute the robot's least distance from the scene at the points where the cost is computed."""
         if len(self.ready.pairs) == 0:
             return np.inf
         lengths = self._lengths(path[:-1], path[1:])
@@ -73,7 +73,7 @@ class Clearing:
         return float(np.min(distances.nearest(self.ready, Q, True, False).distance))
 
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
-        """Move a free path away from obstacles; return the cheaper of old and new path, and the number of rounds.
+        """Move a free path away from obstacles. Return the cheaper one of both paths, and the number of rounds.
 
         Points move for three quarters of the available time; the clock is checked between rounds.
         """
@@ -93,7 +93,7 @@ class Clearing:
         return (moved if cheaper else path), rounds
 
     def _move(self, path: Floats, rows: Ints, steps: Floats, space: Space) -> None:
-        """Move points, no two of them neighbours, down the cost's gradient, if the move is free and lowers the cost."""
+        """Move points that are not neighbours down the cost's gradient, if the move is free and lowers the cost."""
         if len(rows) == 0:
             return
         before, here, after = path[rows - 1], path[rows], path[rows + 1]
@@ -105,7 +105,7 @@ class Clearing:
         apart = np.maximum(lengths, np.finfo(float).tiny)[:, :, None]
         pull = means[:, :, None] * ((here - np.stack([before, after])) / apart)  # a quotient of two zeros is 0 here
         down = -(0.5 * lengths.sum(axis=0)[:, None] * slopes / squares + pull.sum(axis=0))
-        # Points move only sideways: if they moved along the path, they would gather where the cost is low.
+        # Points move only sideways; otherwise, they would gather along the path where the cost is low.
         along = (after - before) * self.weights
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
         down *= self.weights
@@ -138,7 +138,7 @@ class Clearing:
         return np.concatenate([*rows, path[-1:]])
 
     def _thinned(self, path: Floats, deadline: float) -> Floats:
-        """Leave out points wherever the motion past them is free and costs hardly more."""
+        """Remove points if the direct motion between their neighbours is free and costs hardly more."""
         path, left = path.copy(), True
         while left and len(path) > 2 and time.monotonic() < deadline:
             left = False
@@ -165,7 +165,7 @@ class Clearing:
         return np.asarray(self._lengths(a, b) * means)
 
     def _points(self, a: Floats, b: Floats, part: float) -> tuple[Ints, Floats, Ints, Bools]:
-        """Divide motions; return each point's motion, the points, the parts per motion, and which points are ends."""
+        """Divide motions; return the motion of each point, the points, the part counts, and which points are ends."""
         counts = np.maximum(np.ceil(self._lengths(a, b) / max(part, np.finfo(float).tiny)), 1).astype(int)
         motion = np.repeat(np.arange(len(a)), counts + 1)
         k = np.arange(len(motion)) - np.repeat(np.cumsum(counts + 1) - counts - 1, counts + 1)
@@ -173,7 +173,7 @@ class Clearing:
         return motion, Q, counts, (k == 0) | (k == counts[motion])
 
     def _densities(self, Q: Floats, gradient: bool = False) -> tuple[Floats, Floats]:
-        """Compute costs per length at configurations, and their gradients if requested."""
+        """Compute the costs per length at configurations and, if requested, the gradients of these costs."""
         slopes = np.zeros_like(Q)
         if len(self.ready.pairs) == 0 or len(Q) == 0:
             return np.ones(len(Q)), slopes

@@ -21,22 +21,22 @@ from loewner.planners.space import Space
 from loewner.queries.pairs import Verdict
 from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
-# The longest motion of a tree with an axis to keep, divided by the square root of the allowed angle. On longer motions,
-# the axis would leave the angle.
+# Length of a tree's longest motion, divided by the square root of the angle by which an axis to keep may tilt. On
+# longer motions, the axis would tilt further.
 KEPT = 2.0
 
 # Initial capacity of trees, in configurations.
 CAPACITY = 2048
 
-# Number of iterations, or of cuts, between two checks of the clock and for an interrupt: at first, and at most. The
-# number of iterations is smaller if they would take longer than A_WHILE [s].
+# First and largest number of iterations, or of cuts, between two checks of the clock and of interrupts. Fewer
+# iterations are done if they would take longer than A_WHILE [s].
 FIRST, AT_A_TIME = 64, 512
 A_WHILE = 0.01
 
 # Default number of cuts to try: more cuts gain little, and take longer than the search itself.
 CUTS = 60
 
-# Number of motions between the trees that are examined for the message of a search that found nothing.
+# Number of motions between the trees that are examined for the error message if the search fails.
 BETWEEN = 64
 
 # Number of configurations that a path may gain while it is shortened.
@@ -85,12 +85,12 @@ class Growth:
         return growth
 
     def rooted(self, seed: int) -> Growth:
-        """Begin anew from the start and the goals."""
+        """Restart the search from the start and the goals."""
         entries.begin_search(self._table.ctypes.data, self.goals, seed)
         return self
 
     def on(self, most: int) -> int:
-        """Let the trees grow until they meet, for at most `most` iterations in all; return the outcome."""
+        """Grow the trees until they meet, for at most `most` iterations in total; return the outcome."""
         self.search.handles[:], self.search.lengths[:] = self.judge.asked()
         while (outcome := entries.connect_trees(self._table.ctypes.data, most)) == codes.FULL:
             trees = self.search.trees
@@ -104,8 +104,8 @@ class Growth:
         """Return the path through both trees."""
         judge, path = self.judge, np.empty((int(self.state[ROWS]), len(self.search.start)))
         turned = entries.path_through(self._table.ctypes.data, path)
-        # Whole turns are rounded, and steps are counted from the start, so the path differs slightly from the judged
-        # motions. Also, if proofs assume a free start, the start was checked in a scene that may have changed.
+        # The path differs slightly from the judged motions, because whole turns are rounded and steps are counted from
+        # the start. Moreover, if proofs assume a free start, the scene may have changed since the start was checked.
         if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
             raise PlanningError(
                 "expected a path that is free as a whole, found one that is not: try another seed or a finer resolution"
@@ -135,7 +135,7 @@ def find_path(space: Space, judge: Judge, start: Floats, goals: Floats, search: 
 
 
 def _connected(growth: Growth, max_iterations: int, timeout: float) -> Floats:
-    """Let the trees grow until they meet, and return the path through both (RRT-Connect)."""
+    """Grow the trees until they meet, and return the path through both (RRT-Connect)."""
     state = growth.state
     began: float | None = None  # after the first call, in which Numba may compile
     outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
@@ -154,7 +154,7 @@ def _connected(growth: Growth, max_iterations: int, timeout: float) -> Floats:
 
 
 def _how_far(growth: Growth, spent: str, option: str) -> str:
-    """Make the message for a search that found nothing."""
+    """Make the message of a search that found no path."""
     state, gap = growth.state, growth.search.reach[GAP]
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = "neither grew"
@@ -168,7 +168,7 @@ def _how_far(growth: Growth, spent: str, option: str) -> str:
 
 
 def _what_is_between(growth: Growth) -> str:
-    """Describe what prevents motions from one tree to the other, from configurations spread over both trees."""
+    """Describe the collisions of motions between configurations that are spread over both trees."""
     judge, counts = growth.judge, growth.state[[STARTS, GOALS]].tolist()
     if judge.resolution:
         return ""
@@ -189,7 +189,7 @@ def _what_is_between(growth: Growth) -> str:
 
 
 def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
-    """Return a shorter path with the same ends; the judge has found all motions of both paths free."""
+    """Return a shorter path with the same ends. The judge has accepted all motions of both paths."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     handles = judge.asked()

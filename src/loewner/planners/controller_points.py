@@ -35,8 +35,8 @@ MOST_BYTES = 2**28
 # Allowed distance of each value from the first point when a trajectory starts [rad or m]: MoveIt's default.
 START_TOLERANCE = 0.01
 
-# Allowed rounding errors: differences between the times of the joints and of a base [s]; deviations of a planar motion
-# from its plane [m, or a cosine]; and deviations of quaternions' norms from 1, in files with few digits.
+# Allowed rounding errors: the difference between the times of the joints and of a base [s]; the deviation of a planar
+# motion from its plane [m, or a cosine]; and the deviation of a quaternion's norm from 1, in files with few digits.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
 
 # The identity as a position and a quaternion x, y, z, w.
@@ -62,12 +62,12 @@ class Origin:
     sources : dict
         Keys of the message from which the values in `stated` come, by column.
     assumed : tuple of str
-        Columns for which neither the file nor `others` has values: they keep the robot's defaults, which are mostly 0.
+        Columns for which neither the file nor `others` has values. They keep the robot's defaults, which are mostly 0.
     touching : dict
         Links that a carried body may touch, by the name of the body.
     free : tuple of str
         Bodies that the robot carries in another part of the message, but not during these points. Queries raise an
-        error if such bodies are attached in the scene.
+        error if the scene has attached such a body.
     straight : tuple of str
         Columns of a base, which are interpolated by straight lines although other columns have velocities.
     """
@@ -84,8 +84,8 @@ class Origin:
 class ControllerPoints:
     """Timed points that a joint trajectory controller, such as ros2_control's, interpolates.
 
-    If points have only positions, the controller interpolates them by straight lines; if they also have velocities, by
-    cubic polynomials; if they also have accelerations, by quintic polynomials.
+    The controller interpolates points with positions only by straight lines, points with velocities by cubic
+    polynomials, and points with velocities and accelerations by quintic polynomials.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ class ControllerPoints:
     positions : array_like, shape (n, dof)
         Positions in radians or metres.
     velocities, accelerations : array_like, shape (n, dof), optional
-        Velocities and accelerations at these times, in radians or metres per second and per second squared;
-        accelerations require velocities.
+        Velocities and accelerations at these times, in radians or metres per second and per second squared.
+        Accelerations require velocities.
     names : sequence of str, optional
         Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
     start_time : float
-        Seconds that are added to the times, unless a query is given another `t0`; as for `Trajectory`.
+        Seconds that are added to the times, unless a query has an argument `t0`; as for `Trajectory`.
 
     Attributes
     ----------
@@ -161,10 +161,10 @@ class ControllerPoints:
         Parameters
         ----------
         path : path
-            A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, by itself or within a message
-            of MoveIt or of a controller's action. Alternatively, a ``.csv`` file whose columns are ``time``, the
-            joints' names and optionally ``NAME velocity`` and ``NAME acceleration`` for each joint. Files written by
-            `Trajectory.save` can be read as well.
+            A ``.json`` or ``.yaml`` file with a ROS ``trajectory_msgs/JointTrajectory``, which may be part of a message
+            of MoveIt or of a controller's action. Alternatively, a ``.csv`` file with a column ``time``, a column for
+            each joint and, optionally, columns ``NAME velocity`` and ``NAME acceleration`` for each joint. Files
+            written by `Trajectory.save` can be read as well.
         robot : Robot, optional
             Columns are added for the values of this robot that the file does not name; these values do not change. The
             motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
@@ -179,10 +179,9 @@ class ControllerPoints:
         Raises
         ------
         FileError
-            If the file does not exist, or contains no such points or several trajectories (see `load_all`). If the file
-            has a duplicate key, a key that is unknown in its message, or a value of the wrong kind. If a message
-            contains motions or joint values that do not fit the given robot, or that can be read only with `robot` and
-            none is given.
+            If the file does not exist, contains no such points, or contains several trajectories (see `load_all`). If
+            the file has a duplicate key, a key that is unknown in its message, or a value of the wrong kind. If a
+            message contains motions or joint values that do not fit the robot, or that cannot be read without `robot`.
         InputError
             If the file has another extension, or `others` is given without `robot` or is not a configuration of the
             robot.
@@ -192,9 +191,9 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message contains bodies in a world of its own, which are not read, or is for a robot with another
-            name. If a goal lets the controller deviate from the path, or the trajectory does not begin at the message's
-            start state.
+            If the message contains its own bodies of the world, which are not read. If the message names another robot.
+            If a goal lets the controller deviate from the path. If the trajectory does not begin at the message's start
+            state.
 
         Examples
         --------
@@ -254,16 +253,16 @@ class ControllerPoints:
         ----------
         path : path
             A ``.csv`` file contains all numbers in full precision. A ``.json`` or ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds; if rounding changes a time,
-            prove the points that are read back from the file.
+            ``trajectory_msgs/JointTrajectory``, whose times are rounded to nanoseconds. If this may change a time,
+            prove the points that you read back from the file.
         joints, names, controllers
             As for `Trajectory.save`. Points without names need `names`.
 
         Raises
         ------
         InputError
-            As for `Trajectory.save`. If a message would contain the same time twice, or a negative time. If the base of
-            a robot moves straight while joints have velocities, since no such file can express this.
+            As for `Trajectory.save`. If a message would contain the same time twice, or a negative time. If a base
+            moves in straight lines while joints have velocities, because no file format can express this.
         UnknownNameError, FileError, MissingExtraError
             As for `Trajectory.save`.
 
@@ -307,7 +306,7 @@ class ControllerPoints:
     def _loaded(
         cls, path: str | os.PathLike[str], robot: Robot | None, others: ArrayLike | None, only: bool = False
     ) -> list[ControllerPoints]:
-        """Read all trajectories of a file, or the `only` one."""
+        """Read all trajectories of a file; if `only`, the file must contain a single one."""
         source = _validate.path(path, "path")
         suffix, name = source.suffix.lower(), shown(source)
         if suffix not in ENDINGS:
@@ -412,7 +411,7 @@ class ControllerPoints:
 
 
 def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
-    """Return the points with only their first 0, 1 or 2 derivatives, which the given points must have."""
+    """Return the points with positions and 0, 1 or 2 derivatives, which the given points must have."""
     kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
     return points._with(points.positions, kept, points.names)
 
@@ -474,7 +473,7 @@ def _of_joints(motion: messages.Motion) -> ControllerPoints:
 
 
 def _with_base(part: messages.Part, placed: messages.Motion, robot: Robot) -> ControllerPoints:
-    """Join the motion of joints with one value and the motion of a base; the base moves straight between its points."""
+    """Combine the motion of joints with one value and the motion of a base, which moves straight between its points."""
     held, times = part.joints, placed.times
     if held is not None and (len(held.times) != len(times) or not (np.abs(held.times - times) <= SAME_TIME).all()):
         raise InputError(
@@ -528,7 +527,7 @@ def _columns_of(joint: str, T: Floats, robot: Robot) -> dict[str, Floats]:
 
 
 def _expect_upright(joint: str, robot: Robot) -> None:
-    """Refuse a planar joint whose axis is not z: its values are not the position and heading of a message."""
+    """Refuse a planar joint whose axis is not z: a message's position and heading would not be its values."""
     column = robot.configuration_names.index(f"{joint}/x")
     q = np.repeat(robot.configuration()[None], 2, axis=0)
     q[0, column : column + 3], q[1, column : column + 3] = 0.0, (1.0, 2.0, 0.5)
@@ -542,7 +541,7 @@ def _expect_upright(joint: str, robot: Robot) -> None:
 
 
 def _expect_begin(part: messages.Part, name: str) -> None:
-    """Warn if a trajectory does not begin at the start state."""
+    """Warn if a trajectory does not begin at the message's start state."""
     if part.placed is not None:
         begin = dict(zip(part.placed.names, part.placed.rows["transforms"][0], strict=True))
         far = [joint for joint, T in part.start.places.items() if joint in begin and _is_far(T, begin[joint])]
@@ -574,9 +573,9 @@ def _is_far(T: Floats, other: Floats) -> bool:
 def _stated(
     part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the values that a message states for columns that the points do not name, and the values' keys.
+    """Return a message's values for columns that the points do not name, and the keys of these values.
 
-    Values that belong to no column are refused; without a robot, values of 0 are accepted.
+    A value that belongs to no column is refused. Without a robot, it is accepted if it is 0.
     """
     named, start = set(points.names or ()), part.start
     mimics = {} if robot is None else {joint: followed for joint, (followed, _) in robot.mimics.items()}

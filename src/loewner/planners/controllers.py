@@ -1,4 +1,4 @@
-"""Columns for controllers, with the names that controllers use for them, and the files that list controllers."""
+"""Choose columns for controllers, name them as the controllers do, and read the files that list controllers."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ MOST_BYTES = 2**24
 TIMES = ("time", "time_from_start")
 VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
-# Controllers that accept trajectories, by the end of their types in ros2_control and ROS 1, and by MoveIt's type.
+# Controllers that accept trajectories: ends of their types in ros2_control and ROS 1, and MoveIt's type.
 TRAJECTORY = ("JointTrajectoryController", "FollowJointTrajectory")
 
-# Keys that lead to controllers and are not part of the controllers' names.
+# Keys above controllers that are not part of the controllers' names.
 AROUND = ("", "**", "ros__parameters", "controller_manager", "moveit_simple_controller_manager")
 
-# Keys of a controller that accepts trajectories: the keys that are used here, and keys without an effect on the points.
+# Keys of a controller that accepts trajectories: keys that are used here, and keys that have no effect on the points.
 USED = ("joints", "type", "allow_partial_joints_goal", "interpolation_method", "name")
 HARMLESS = (
     *("action_ns", "default", "ros__parameters", "command_joints", "command_interfaces", "state_interfaces"),
@@ -41,7 +41,7 @@ HARMLESS = (
 
 @dataclass(eq=False)
 class Controller:
-    """A controller in a file: its type ("" if the file gives none), its joints, and other keys."""
+    """A controller in a file: its type ("" if the file does not state a type), its joints, and other keys."""
 
     type: str = ""
     joints: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class Controller:
 def columns_of(
     held: tuple[str, ...] | None, count: int, joints: Any, names: Any
 ) -> tuple[list[int], tuple[str, ...] | None]:
-    """Return the columns for a file, and their names in the file, from the arguments of a method `save`.
+    """Return the columns that a method `save` writes to a file, and their names in the file.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def write(
     listing: str | os.PathLike[str] | None,
     text: Callable[[list[int], Sequence[str]], str],
 ) -> None:
-    """Write all columns to one file, or the columns of each controller in a list to a file of its own.
+    """Write all columns to one file, or the columns of each listed controller to a separate file.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def _add(one: Controller, node: Node, keys: dict[str, Node]) -> None:
 
 
 def _warn(listing: Any, name: str, one: Controller) -> None:
-    """Warn about settings that may let a controller leave the curve between points."""
+    """Warn about settings with which a controller may leave the curve between points."""
     unknown = sorted(one.keys.keys() - {*USED, *HARMLESS})
     if unknown:
         warn(f"{listing}: not read, since they are no known settings of {name}: {some(unknown)}")

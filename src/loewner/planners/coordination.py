@@ -22,7 +22,7 @@ from loewner.robots import CollisionChecker
 from loewner.robots.description.assembly import parts_of
 from loewner.robots.description.robot import interpolated
 
-# Largest number of states of all robots together; the proofs for 2^20 states take several minutes.
+# Largest number of states of all robots together. The proofs for 2^20 states take several minutes.
 MOST_STATES = 2**20
 
 # Two motions whose directions differ by less than the share STRAIGHT are parts of one straight motion.
@@ -31,7 +31,7 @@ STRAIGHT = 1e-9
 # Speed of a value without a limit [rad/s or m/s].
 USUAL_SPEED = 1.0
 
-# The index of a row on each path.
+# For each path, the index of a row.
 State = tuple[int, ...]
 
 
@@ -77,9 +77,9 @@ def coordinate(
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations of all robots together; all straight motions between successive configurations are proven free.
-        The path is the fastest one with these steps at the joints' maximum velocities; a value without a limit moves at
-        1 rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
+        Configurations of all robots together. All straight motions between successive configurations are proven free.
+        For these steps and the joints' maximum velocities, the path is the fastest one; a value without a limit moves
+        at 1 rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
 
     Raises
     ------
@@ -89,13 +89,13 @@ def coordinate(
         If the robot has no part of this name.
     PlanningError
         If the starts or the ends are not free, or the robots cannot pass each other on these paths. The message names
-        the two bodies that meet at the farthest point of the search.
+        the two bodies that meet where the search came farthest.
 
     Notes
     -----
-    The states of all robots form a grid: along an edge of the grid, one robot takes a step; along a diagonal, several
-    robots take a step. An A* search finds the fastest way, and proves the edges that it encounters. No robot moves
-    backwards along its path.
+    The states of all robots form a grid. Along an edge of the grid, one robot takes a step; along a diagonal, several
+    robots take a step. An A* search finds the fastest way through the grid, and proves the edges that it encounters. No
+    robot moves backwards along its path.
 
     References
     ----------
@@ -205,7 +205,7 @@ def _fastest(judge: Judge, ways: list[_Way]) -> list[State]:
 
 
 def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
-    """Make the message: where the robots got farthest, and which bodies meet on the next step of all robots."""
+    """Make the error message: how far the robots got, and which bodies meet if all robots take the next step."""
     farthest = max(done, key=sum)
     ahead = tuple(min(k + 1, end) for k, end in zip(farthest, ends, strict=True))
     answer = judge.certified(_configuration(ways, farthest), _configuration(ways, ahead))
@@ -223,7 +223,7 @@ def _why(judge: Judge, ways: list[_Way], done: set[State], ends: State) -> str:
 
 
 def _merged(judge: Judge, rows: Floats) -> Floats:
-    """Leave out rows within straight motions, if the resulting longer motions are proven as well."""
+    """Remove rows within straight motions, if the resulting longer motions are also proven."""
     steps = np.diff(rows, axis=0)
     sizes, turns = (np.abs(ways).max(axis=1, initial=0.0) for ways in (steps[1:], np.diff(steps, axis=0)))
     corners = np.concatenate([[0], np.flatnonzero(turns > STRAIGHT * sizes) + 1, [len(rows) - 1]])

@@ -1,4 +1,4 @@
-"""Plan the ends of paths that begin or end in contact, by motions along the contact normals."""
+"""Plan the motions out of contact at the start of a path, and into contact at its end, along the contact normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loewner.robots.checking.verdicts import contacts
 from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 from loewner.scenes.scene import Contact
 
-# Distances beyond the margin by which to move bodies apart [m]; the first one with a proven motion is used. The
+# Distances beyond the margin by which bodies are moved apart [m]. The first distance with a proven motion is used. The
 # distances decrease because joints move bodies along curves, and shorter motions are straighter.
 RISES = (0.02, 0.01, 0.005, 0.002)
 
@@ -31,7 +31,7 @@ class Departures:
     start, goals : ndarray, shapes (dof,) and (goals, dof)
         As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        Free configurations near `start` and `goals`; equal to `start` and `goals` if no contact has to end or begin.
+        Free configurations near `start` and `goals`. They equal `start` and `goals` if no contact has to end or begin.
     """
 
     space: Space
@@ -42,7 +42,7 @@ class Departures:
 
     @classmethod
     def of(cls, space: Space, judge: Judge, start: Floats, goals: Floats) -> Departures:
-        """Find the free configurations in one consistent state of the scene; with a joint error, no contact is allowed.
+        """Find the free configurations in one consistent state of the scene. With a joint error, no contact is allowed.
 
         Raises
         ------
@@ -75,14 +75,14 @@ class Departures:
 
 
 def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """Find a free configuration that a proven motion connects with the contact q; or return q and the fault."""
+    """Return a free configuration that a proven motion connects with the contact q, or q and a description."""
     checker = space.checker
-    if space.free(q):  # the usual case; a list of contacts takes longer
+    if space.free(q):  # the usual case; listing the contacts would take longer
         return q, ""
     allowed = ready.pairs[ready.leaving if at_start else ready.reaching]
     ruled = {frozenset(ready.names[k] for k in pair) for pair in allowed}
     touching, doubt = contacts(ready, q)
-    # Any other fault is reported by the check of all starts and goals.
+    # All other faults are reported by the check of all starts and goals.
     if doubt or not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):
         return q, ""
     way = _way(space, ready, q, touching)
@@ -105,7 +105,7 @@ def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[
 
 
 def _way(space: Space, ready: Problem, q: Floats, touching: tuple[Contact, ...]) -> Floats:
-    """Compute a change of configuration per metre that separates touching bodies along the normals without turns.
+    """Compute how configurations change per metre if touching bodies separate along the normals, without turning.
 
     The change is the least-squares solution, since the joints may not allow exactly this motion.
     """

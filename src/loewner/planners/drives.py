@@ -31,13 +31,13 @@ from loewner.robots.proofs.curves import Curve, form_of
 # Largest distance between an arc and the polynomial that represents it [m], and the largest turn of one piece [rad].
 DEVIATION, LARGEST_TURN = 1e-6, math.pi / 2.0
 
-# Limit on the pieces of a drive, so that a turn by millions of radians does not exhaust the memory.
+# Largest number of pieces of a drive: a turn by millions of radians must not exhaust the memory.
 MOST_PIECES = 100_000
 
 # An arc's polynomial has an error of at most the arc's eighth derivative divided by 8! 2^8.
 REMAINDER = 40320.0 * 256.0
 
-# Bound on the rounding errors of courses and of positions on arcs, relative to positions, and to length * (1 + turn).
+# Bound on rounding errors of courses and of positions on arcs, relative to the positions plus length * (1 + turn).
 ARC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B70
 
 # Largest deviation of the motion of the base's link from a plane [m, or a cosine].
@@ -67,7 +67,7 @@ class Arcs(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drive(KeepsReadOnly):
-    """A mobile base's sequence of arcs, straight lines and turns in place; made by `plan` with `base`, or by `of`.
+    """A sequence of arcs, straight lines and turns in place of a mobile base; made by `plan` with `base`, or by `of`.
 
     `CollisionChecker.certify_trajectory` accepts a drive as a curve, and proves the arcs themselves.
 
@@ -84,9 +84,9 @@ class Drive(KeepsReadOnly):
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
-        When motions begin, and when the last motion ends, in seconds. Within a motion, the base drives and turns at
-        constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s and 1 rad/s. The
-        drive ``dataclasses.replace(drive, times=drive.times / 0.5)`` is half as fast.
+        Times at which motions begin, and the time at which the last motion ends, in seconds. Within a motion, the base
+        drives and turns at constant rates. Drives from `plan` and `of` are as fast as possible without exceeding 1 m/s
+        and 1 rad/s. The drive ``dataclasses.replace(drive, times=drive.times / 0.5)`` is half as fast.
     iterations : int
         Number of poses from which the search continued.
     seconds : float
@@ -282,7 +282,7 @@ def arcs_of(poses: Floats, lengths: Floats, turns: Floats, ends: Floats, gaps: F
 
 
 def base_columns(robot: Robot) -> tuple[int, int, int]:
-    """Find the columns of a planar base: x, y and an angle at the root of the robot that no other joint follows.
+    """Find the columns of a planar base: x, y and an angle at the robot's root. No other joint may follow these values.
 
     Raises
     ------

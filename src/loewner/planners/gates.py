@@ -1,4 +1,4 @@
-"""Let chunks of joint targets through as far as they are proven free, and as far as the robot can still brake."""
+"""Decide how much of a chunk of joint targets may run: as far as all motions, and brakes from them, are proven free."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from loewner.robots.proofs.written_proofs import Proof, proof_of
 # Time scales that are tried if a chunk is not free at its own speed: a half, a quarter and an eighth.
 SCALES = (0.5, 0.25, 0.125)
 
-# Times that agree within the share SAME_TICK of a period belong to the same tick.
+# Times that differ by at most the share SAME_TICK of a period belong to the same tick.
 SAME_TICK = 1e-6
 
 # Upper limit on quotients that may be infinite: more periods than any chunk has.
 MANY = 2.0**31
 
-# Bounds count as within older bounds only if they are narrower by more than rounding errors: by WITHIN times the sum of
-# 1, the time [s] and the largest coordinate of the body [m].
+# Bounds count as within older bounds only if they are narrower by more than rounding errors. The threshold is WITHIN
+# times the sum of 1, the time [s] and the largest coordinate of the body [m].
 WITHIN = 1e-12
 
-# Rounding error of the angle between two quaternions [rad]: a cosine near 1 has an error of several roundings.
+# Rounding error of the angle between two quaternions [rad], which is computed from a cosine near 1.
 TURNED = 1e-6
 
 # Smallest limit on the steps for proving a brake as a whole: more steps than one interval takes with one pair.
@@ -64,7 +64,7 @@ class GateState(IntEnum):
     """How much of a chunk may be executed.
 
     GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: no
-    targets, since the robot is already in contact, or nearer to a body than the margin, so that nothing can be proven.
+    targets, because nothing can be proven: the robot is already in contact, or nearer to a body than the margin.
 
     Examples
     --------
@@ -80,7 +80,7 @@ class GateState(IntEnum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GateAnswer(_validate.Brief):
-    """How far a chunk of joint targets may run.
+    """The answer of a gate: how far a chunk of joint targets may run.
 
     Attributes
     ----------
@@ -89,24 +89,23 @@ class GateAnswer(_validate.Brief):
         Number of targets that may be executed. The motions to these targets, and a brake from each target, are proven
         free.
     scale : float
-        1 if all targets may be executed. Otherwise, the largest time scale among 1/2, 1/4 and 1/8 at which all targets
-        may be executed, that is, with periods of dt / scale. The scale is 0 if even 1/8 does not suffice, if the limit
-        on the work is reached first, or if the reason is "limits".
+        1 if all targets may be executed. Otherwise, the largest of the scales 1/2, 1/4 and 1/8 such that all targets
+        may be executed with periods of dt / scale. The scale is 0 if even 1/8 does not suffice, if the limit on the
+        work is reached first, or if the reason is "limits".
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
         the robot collides while it brakes, or the chunk has no target beyond the latency. "may be hit": a collision is
-        possible only with a body that is away from its given pose, or nothing could be proven near a contact. "limits":
-        a target is outside the limits or too fast. "budget": the limit on the work was reached. The reason is empty for
-        GO.
+        possible only if a body is away from its given pose, or nothing could be proven near a contact. "limits": a
+        target is outside the limits or too fast. "budget": the limit on the work was reached. For GO, the reason is
+        empty.
     names : tuple of str
         The pair of bodies, or the joint, to which the reason applies; empty if there is no such pair or joint.
     distance, normal : float, ndarray of shape (3,)
         The distance between the two bodies where the proof fails [m], negative if they overlap, and the direction
-        towards the second body. The distance and the direction are for bodies at their given poses, and NaN if there is
-        no pair.
+        towards the second body. Both are computed for bodies at their given poses, and are NaN if there is no pair.
     brake : Trajectory
-        The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then, or at
-        once if the state is BRAKE.
+        The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then. If the
+        state is BRAKE, execute this brake immediately.
     is_proven : bool
         Whether ``brake`` is proven free. The brake is proven unless nothing was proven before, the robot has left the
         proven tube, or the world has left its bounds.
@@ -137,7 +136,7 @@ class GateAnswer(_validate.Brief):
 
 
 class _World(NamedTuple):
-    """Data of the scene's bodies; if only these data change, the scene still counts as the same."""
+    """The places of the scene's bodies, on which proofs depend, and the version of everything else."""
 
     structure: int
     poses: Floats
@@ -146,7 +145,7 @@ class _World(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """Where a proof fails: the reason, the pair or -1, the configuration, the time, and the joint beyond its limits."""
+    """Where a proof fails: the reason, the pair (-1 for none), the configuration, the time, and the joint, if any."""
 
     reason: str
     pair: int
@@ -156,7 +155,7 @@ class _Block(NamedTuple):
 
 
 class _Stop(NamedTuple):
-    """A motion or a brake of a chunk that is not free; it is not tried again while the world is the same.
+    """A motion or a brake of a chunk that is not proven free. It is not tried again while the world is the same.
 
     Attributes
     ----------
@@ -185,12 +184,12 @@ class _Chunk(NamedTuple):
         The target before the first row, if the chunk has begun.
     dt, t0 : float
     motions : int
-        Number of motions that are proven, beginning with the first.
+        Number of proven motions, counted from the first motion.
     first, braked : int
         The first and the last tick of a range; the brakes from all ticks in this range are proven.
     ends : ndarray of int64, shape (n + 1,)
-        For each tick, how many targets were known when the brake from the tick was proven. A brake that goes beyond
-        these targets continues along the last motion, even if targets were added later.
+        For each tick, how many targets the chunk had when the brake from the tick was proven. If the brake goes beyond
+        these targets, it continues along the last motion, even if targets were added later.
     world : _World
     motion_stop, brake_stop : _Stop, optional
     """
@@ -209,7 +208,7 @@ class _Chunk(NamedTuple):
     brake_stop: _Stop | None = None
 
     def from_tick(self, j: int) -> _Chunk:
-        """Return the same chunk with ticks counted from a later tick."""
+        """Return the same chunk, with ticks counted from a later tick."""
         stops = [
             stop and stop._replace(tick=stop.tick - j, needed=stop.needed - j)
             for stop in (self.motion_stop, self.brake_stop)
@@ -222,12 +221,13 @@ class _Chunk(NamedTuple):
 
 
 class Gate:
-    """Judge chunks of joint targets in a control loop: how far may they run so that the robot can still brake?
+    """Decide in a control loop how far chunks of joint targets may run, so that the robot can still brake.
 
-    A chunk is FREE to run up to a target if the straight motions to it, and a brake from each target, are proven free.
-    The proofs cover all deviations within `joint_error` and `velocity_error`, and all places of bodies within their
-    bounds (`Scene.follow`, `Scene.move`). The claim is that nothing collides before the robot is at rest; a body may
-    run into the robot afterwards. A gate is not a safety function in the sense of IEC 61508 or ISO 13849.
+    A chunk may run up to a target if the straight motions to this target are proven free, together with a brake from
+    each target on the way. The proofs cover all deviations within `joint_error` and `velocity_error`, and all places of
+    bodies within their bounds (`Scene.follow`, `Scene.move`). The claim is that nothing collides until the robot is at
+    rest. A body may still run into the resting robot. A gate is not a safety function in the sense of IEC 61508 or ISO
+    13849.
 
     Parameters
     ----------
@@ -236,8 +236,8 @@ class Gate:
     limits : planners.JointLimits, optional
         Limits of position, velocity, acceleration and jerk. Default: the limits of the robot.
     brake : {"joints", "path"}
-        How the robot brakes. "joints": each joint brakes as fast as its limits allow, off the path, as with most
-        controllers. "path": the robot stays on the path, and time along the path slows down until the robot rests.
+        How the robot brakes. "joints": each joint brakes as fast as its limits allow, as with most controllers, and the
+        robot leaves the path. "path": the robot stays on the path, and slows down until it rests.
     horizon : float, optional
         Only targets within this time [s] are examined. Default: all targets.
     interpolation : {"linear"}
@@ -247,12 +247,12 @@ class Gate:
     velocity_error : float or array_like, shape (dof,)
         Rad/s or m/s by which the robot's velocity may differ from the chunk's velocity when the robot begins to brake.
     latency : float
-        Seconds from the order to brake until the robot brakes; until then, the robot continues along the chunk. The
-        latency is rounded up to whole periods.
+        Seconds between the order to brake and the beginning of the brake, in which the robot continues along the chunk.
+        The latency is rounded up to whole periods.
     steps : int, optional
         Limit on the work of a check, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
-        Limits that replace the values in `limits`; without a jerk limit, accelerations jump.
+        Limits that replace the values in `limits`. Without a jerk limit, accelerations jump.
     tolerance : float
         As for `CollisionChecker.certify_edges`, in metres.
 
@@ -339,9 +339,9 @@ class Gate:
             Seconds between targets.
         time : float, optional
             The time of this tick, in seconds on the clock of the scene's moving bodies; it must not run backwards.
-            Required if bodies move or have bounds that grow with time. With a latency, the state of a slow robot may
-            fit several ticks of the chunk, and the time decides between these ticks. If the time is missing in this
-            case, no brake of an earlier answer is proven.
+            Required if bodies move or have bounds that grow with time. The state of a slow robot may fit several ticks
+            of the chunk, and with a latency, the time decides between these ticks. Without the time, brakes of earlier
+            answers count as unproven in this case.
 
         Returns
         -------
@@ -355,9 +355,9 @@ class Gate:
 
         Notes
         -----
-        Proofs of earlier checks are used again if the targets continue unchanged, and the measured state is within
+        Proofs of earlier checks are reused if the targets continue unchanged, and the measured state is within
         `joint_error` and `velocity_error` of the proven motion. In addition, the scene must be unchanged, or each body
-        must be within its earlier bounds. If a condition does not hold, everything is proven again.
+        must be within its earlier bounds. Otherwise, everything is proven again.
         """
         robot = self._checker.robot
         period, now = _validate.positive_scalar(dt, "dt"), self._time(time)
@@ -380,7 +380,7 @@ class Gate:
         return self._judged(ready, world, state, rows[: max(within, 1)], period, now)
 
     def proof(self) -> Proof:
-        """Write the proof of the last chunk that may run, for a log; other programs can verify it without this library.
+        """Write the proof of the last chunk that may run. Other programs can verify the proof without this library.
 
         Writing a proof takes far longer than a check, so do it outside the control loop.
 
@@ -388,7 +388,7 @@ class Gate:
         -------
         Proof
             The proof contains the chunk's motions up to the last target with a proven brake, followed by all pieces of
-            the brakes in the order of the ticks. In the proof, all motions may deviate by as much as the brakes.
+            the brakes in the order of the ticks. The proof allows all motions the same deviation as the brakes.
 
         Raises
         ------
@@ -400,7 +400,7 @@ class Gate:
 
         See Also
         --------
-        CollisionChecker.certify_trajectory : Proves the chunk and one brake as curves, among moving bodies as well.
+        CollisionChecker.certify_trajectory : Proves the chunk and one brake as curves, also among moving bodies.
 
         Examples
         --------
@@ -430,7 +430,7 @@ class Gate:
         return proof_of(model, ready, courses, error, None)
 
     def _present(self) -> tuple[Problem, _World]:
-        """Return the pairs and the world at one moment, even if another thread changes the scene meanwhile."""
+        """Return the pairs and the world at one moment, even if another thread is changing the scene."""
         while True:
             ready = prepared_of(self._checker, timed=True)
             scene = self._checker.scene
@@ -452,7 +452,7 @@ class Gate:
     # -- the order of a check -----------------------------------------------------------------
 
     def _judged(self, ready: Problem, world: _World, state: State, wanted: Floats, dt: float, now: float) -> GateAnswer:
-        """Prove the new part of a chunk, and answer."""
+        """Prove the new part of a chunk, and return the answer."""
         late = self._periods(dt)
         self._drift = SAME_TICK * dt * max((bounds.rate for bounds in world.bounds.values()), default=0.0)
         count, joint = self._within_limits(state[0], wanted, dt)
@@ -482,8 +482,8 @@ class Gate:
             self._last = chunk
             reached = GateState.GO if block is None else GateState.PREFIX
             return self._answer(ready, reached, steps, scale, block, self._brake_from(chunk, chunk.braked), True)
-        # This chunk may not run, so the last accepted chunk continues until the robot brakes. With a latency, the place
-        # of the brake depends on the tick, which must be certain.
+        # This chunk may not run, so the robot continues along the last accepted chunk until it brakes. With a latency,
+        # the place of the brake depends on the tick, so the tick must be certain.
         for old in before if late == 0 else before[: int(is_sure)]:
             if holds and old.first <= late <= old.braked:
                 return self._answer(ready, GateState.BRAKE, 0, scale, block, self._brake_from(old, late), True)
@@ -505,10 +505,10 @@ class Gate:
         return (int(rows[0]), robot.configuration_names[columns[0]]) if len(rows) else (len(wanted), "")
 
     def _here(self, world: _World, state: State, now: float) -> tuple[list[_Chunk], bool, bool]:
-        """Return the last chunk, counted from each tick at which the robot may be, with the likeliest tick first.
+        """Return the last chunk, counted from each tick at which the robot may be, beginning with the likeliest tick.
 
-        Also return whether the chunk's proofs hold, and whether the first tick is certain. A robot that executes the
-        answers is never beyond the proven motions.
+        Also return whether the chunk's proofs still hold, and whether the first tick is certain. A robot that executes
+        the answers is never beyond the proven motions.
         """
         last = self._last
         if last is None:
@@ -518,25 +518,24 @@ class Gate:
             early = abs(last.t0 + tick * last.dt - now)
             on_time = early <= SAME_TICK * last.dt
             ticks = range(tick, tick + 1) if on_time and 0 <= tick <= last.motions else range(0)
-            # Proofs allow for bounds that begin to grow a little earlier, but not for bodies elsewhere on their
-            # motions.
+            # Proofs hold for bounds that begin to grow slightly earlier, but not for bodies elsewhere on their motions.
             holds = early == 0.0 or all(path.rests for path in world.following.values())
         q, dq = state
         off = (np.abs(q - last.rows) > self._error) | (np.abs(dq - last.rates) > self._rate_error)
         near = np.asarray(~off.any(axis=1))
-        # If the robot is slow, several ticks fit. If the given time advances, it decides between them, even in a world
-        # at rest.
+        # If the robot is slow, its state fits several ticks. If the given time advances, the time decides between these
+        # ticks, even if no body moves.
         near_ticks = [j for j in ticks if near[j]]
         away: Floats = np.abs(q - last.rows).max(axis=1)
         near_ticks.sort(key=lambda j: -1.0 if 0 < j == tick else float(away[j]))
         is_sure = len(near_ticks) == 1 or (tick > 0 and near_ticks[:1] == [tick])
         here = [last.from_tick(j) for j in near_ticks]
-        if not (world.following or world.bounds):  # proofs hold at all times, so the chunk follows the given time
+        if not (world.following or world.bounds):  # proofs hold at all times, so the chunk may begin at the given time
             here = [chunk._replace(t0=now) for chunk in here]
         return here, holds and _is_within(world, last.world, now), is_sure
 
     def _going_on(self, old: _Chunk, wanted: Floats, dt: float, world: _World) -> _Chunk | None:
-        """Append new targets to a chunk that continues; None if the targets differ from the chunk's targets.
+        """Append new targets to a chunk that continues. Return None if the targets differ from the chunk's targets.
 
         New targets are proven in the present world. If the present world is within the older world, the proofs of the
         older targets hold in the present world, too.
@@ -546,7 +545,7 @@ class Gate:
         if common == 0 or dt != old.dt or not np.array_equal(old_targets[:common], wanted[:common]):
             return None
         rows, braked = np.vstack([old.rows[:1], wanted]), min(old.braked, n)
-        if self._on_path:  # leave out brakes that were proven on a longer path
+        if self._on_path:  # do not count brakes that were proven on a longer path
             braked -= int((old.ends[max(old.first, 0) : max(braked + 1, 0)] > n).sum())
         same = _is_same(world, old.world)  # stops after the last target are dropped, since new targets may follow
         stops = [stop if same and stop and stop.needed <= n else None for stop in (old.motion_stop, old.brake_stop)]
@@ -580,7 +579,7 @@ class Gate:
         ends[ticks], chunk = n, chunk._replace(ends=ends)
         brakes = self._brakes(chunk, ticks, n)
         if self._on_path and ready.paths is None:
-            # In a world at rest, proven motions are free at all times, and so are brakes on these motions.
+            # If no body moves, proven motions are free at all times, and so are brakes on these motions.
             open_ones = np.flatnonzero(brakes.needed - 1 > chunk.motions)
             ticks, brakes = ticks[open_ones], brakes.only(open_ones)
         error, tried, end = np.tile(self._error, (len(ticks), 1)), np.arange(len(ticks)), len(ticks)
@@ -588,7 +587,8 @@ class Gate:
         if not self._on_path:
             error += self._farther(chunk.rates[ticks])
             tried = np.flatnonzero(~self._wholes(ready, brakes, chunk.rates[ticks], error, starts))
-        # A long brake that fails usually fails at its end. Prove the ends first: a robot at rest needs no halvings.
+        # A long brake that fails usually fails at its end, so the ends are proven first. A robot at rest needs no
+        # halvings.
         long = tried if self._on_path else tried[brakes.counts[tried] > 2]
         still = np.repeat(brakes.states[long, brakes.counts[long] - 1, :1], 2, axis=1)
         at_rest = starts[long] + brakes.durations[long]
@@ -609,14 +609,14 @@ class Gate:
             return chunk._replace(braked=chunk.motions), block
         block, tick = other._replace(reason="brake") if other.reason == "contact" else other, int(ticks[k])
         needed = int(brakes.needed[k]) - 1 if self._on_path else tick
-        # Beyond the last target, a brake would take a different way if there were more targets.
+        # With more targets, a brake beyond the last target would take a different way.
         stop = _stop(tick, needed, block) if needed <= n else None
         return chunk._replace(braked=tick - 1, brake_stop=stop), block
 
     def _first_block(
         self, ready: Problem, courses: Floats, error: Floats, begin: Floats, end: Floats
     ) -> tuple[int, _Block | None]:
-        """Prove courses in order; return how many are free, and where the next one fails."""
+        """Prove courses in order; return the number of free ones, and where the next one fails."""
         if len(courses) == 0:
             return 0, None
         if self._left <= 0:
@@ -634,10 +634,10 @@ class Gate:
         return len(courses), None
 
     def _wholes(self, ready: Problem, brakes: Brakes, rates: Floats, error: Floats, begin: Floats) -> Bools:
-        """Try to prove each brake as one course, which takes one interval if nothing is near.
+        """Try to prove each brake as one course, which takes a single interval if no obstacle is near.
 
-        Each brake may take about as many steps as one interval does. If not all brakes may take this number of steps,
-        none is tried.
+        Each brake may take about as many steps as one interval takes. If the remaining steps do not suffice for all
+        brakes, no brake is tried.
         """
         free, steps = np.zeros(len(rates), dtype=bool), max(len(ready.pairs), LEAST_STEPS)
         chosen = np.flatnonzero(brakes.counts > 2)
@@ -692,7 +692,7 @@ class Gate:
     # -- brakes -------------------------------------------------------------------------------
 
     def _brakes(self, chunk: _Chunk, ticks: Ints, end: int) -> Brakes:
-        """Brake from ticks; on the path, follow the first `end` targets, and then continue along the last motion."""
+        """Brake from ticks. Brakes on the path pass the first `end` targets and then continue along the last motion."""
         if not self._on_path:
             return self._by_joint(chunk.rows[ticks], chunk.rates[ticks])
         rows, ticks = np.vstack([chunk.before, chunk.rows[: end + 1]]), ticks + 1
@@ -718,7 +718,7 @@ class Gate:
         return self._first_block(ready, courses, error, end - seconds, end)[1] is None
 
     def _pieces(self, ready: Problem, brakes: Brakes, rates: Floats | None) -> tuple[Floats, Floats, Ints]:
-        """Return pieces of brakes, extended until a robot with velocity errors rests; `rates` is None on the path."""
+        """Return pieces of brakes, extended until a robot with velocity errors rests. On the path, `rates` is None."""
         courses, seconds, first = brakes.courses(self._jerk is not None or rates is None)
         if rates is None or not self._rate_error.any():
             return courses, seconds, first
@@ -731,7 +731,7 @@ class Gate:
         return courses, np.insert(seconds, first[rests + 1], later[rests]), first + np.append(0, np.cumsum(later > 0.0))
 
     def _farther(self, rates: Floats) -> Floats:
-        """Bound how much farther joints move while they brake if their velocities are off by the error."""
+        """Bound how much farther joints move while braking if their velocities are wrong by the velocity error."""
         fast, v = np.abs(rates) + self._rate_error, np.abs(rates)
         return np.asarray((fast * self._stopping_time(fast) - v * self._stopping_time(v)) / 2.0)
 
@@ -755,7 +755,7 @@ class Gate:
         self, ready: Problem, state: GateState, steps: int, scale: float, block: _Block | None, brake: Trajectory,
         proven: bool,
     ) -> GateAnswer:  # fmt: skip
-        """Make an answer, with the pair in question, its distance and its normal."""
+        """Make an answer with the pair, its distance and its normal."""
         reason, away, normal = "", math.nan, np.full(3, np.nan)
         names: tuple[str, ...] = ()
         if block is not None:
@@ -780,12 +780,12 @@ def _rates(rows: Floats, dq: Floats, dt: float) -> Floats:
 
 
 def _stop(tick: int, needed: int, block: _Block | None) -> _Stop | None:
-    """Remember where a proof failed, unless it would succeed with more work."""
+    """Record where a proof failed, unless more work might let it succeed."""
     return None if block is None or block.reason == "budget" else _Stop(tick, needed, block)
 
 
 def _is_same(new: _World, old: _World) -> bool:
-    """Return whether a world that lies within an older world allows exactly the same places of bodies."""
+    """Return whether a world that is within an older world allows exactly the same places of bodies."""
     return new.bounds == old.bounds and np.array_equal(new.poses, old.poses)
 
 
@@ -816,7 +816,7 @@ def _path_is_within(
         return False
     if max(bounds.since, allowed.since) > now or bounds.speed > allowed.speed or bounds.turn > allowed.turn:
         return False
-    # From now on, both bounds grow linearly, and the older bounds at least as fast.
+    # From now on, both bounds grow linearly, and the older bounds grow at least as fast.
     away = float(np.linalg.norm(path.positions[0] - old.positions[0]))
     turned = 0.0
     if not same and not np.array_equal(path.quaternions[0], old.quaternions[0]):

@@ -1,4 +1,4 @@
-"""Improve paths in rounds, which search within a bound on the cost and polish paths; the cheapest path is kept."""
+"""Improve paths in rounds, which search within a bound on the cost, polish the results, and keep the cheapest path."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from loewner.planners.searches import Search
 from loewner.planners.space import Space
 from loewner.robots import Proof, Robot
 
-# Searches sample an ellipsoid whose excess over the straight path is SLACK times the best path's excess, since
-# polishing shortens the paths found.
+# Searches sample an ellipsoid of paths that may exceed the cost of the straight path by SLACK times the best path's
+# excess, since polishing shortens new paths.
 SLACK = 1.5
 
-# Number of iterations of a search, at first and at most; and the factors by which this number changes after a failure
-# and after a success.
+# First and largest number of iterations of a search, and the factors by which this number changes after a failure and
+# after a success.
 FIRST_SEARCH, MOST_SEARCH = 100, 512
 AFTER_FAILURE, AFTER_SUCCESS = 1.5, 0.7
 
-# The longest motion of a tree, as a share of the best cost.
+# Length of a tree's longest motion, as a share of the best cost.
 SHARE = 1 / 4
 
-# Number of polishing steps: for a new path; for a path that then costs less than PROMISING times the best cost; and for
-# the best path in each round.
+# Number of polishing steps for a new path, for a polished path that costs less than PROMISING times the best cost, and
+# for the best path in each round.
 QUICK_STEPS, MORE_STEPS, BEST_STEPS = 24, 60, 24
 PROMISING = 1.2
 
@@ -49,33 +49,32 @@ ROOM = 64
 # A path is not improved if its cost exceeds the cost of the straight path by at most the share NOTHING_LEFT.
 NOTHING_LEFT = 1e-9
 
-# Limit on weights and on their inverses: beyond it, squares of costs could overflow.
+# Limit on weights and on their inverses. Beyond this limit, squares of costs could overflow.
 LARGEST_WEIGHT = 1e9
 
-# Smallest clearance [m]: for smaller clearances, the gradient of the cost near obstacles might overflow.
+# Smallest clearance [m]. With a smaller clearance, the gradient of the cost near obstacles might overflow.
 LEAST_CLEARANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Improve:
-    """How `plan_full` improves a path: up to a time limit or a number of rounds, or not at all if neither is given.
+    """How `plan_full` improves a path: up to a limit on the time or on the rounds, or not at all without a limit.
 
     Parameters
     ----------
     seconds : float, optional
-        Improve until this time has passed since the call began; the first path is returned in any case. Default: the
-        timeout of the search.
+        Improve until this time has passed since the beginning of the call. The first path is returned in any case.
+        Default: the timeout of the search.
     iterations : int, optional
-        Limit on the number of rounds. Equal numbers of rounds and equal seeds give equal paths, unless time runs out
-        first.
+        Limit on the number of rounds. Equal numbers of rounds and equal seeds lead to equal paths, unless the time runs
+        out first.
     weights : array_like, shape (dof,), optional
-        Factors of the joint values in the cost that improvement lowers: the cost of a motion is the Euclidean norm of
-        the weighted changes. Weights make metres and radians comparable; a joint with a large weight moves little.
-        Default: 1 for each value.
+        Factors of the joint values in the cost: a motion costs the Euclidean norm of its weighted changes. Weights make
+        metres and radians comparable. A joint with a large weight moves little. Default: 1 for each value.
     clearance : float, optional
         Distance [m] that the path should keep from the bodies of the scene where possible. The clearance is a
-        preference, not a constraint: at smaller distances, a motion costs up to ten times its length. Half of the
-        rounds move the path away from the bodies. For a distance that must be kept everywhere, use `Scene.margin`.
+        preference, not a constraint. At smaller distances, a motion costs up to ten times its length. Half of the
+        rounds move the path away from the bodies. If the distance must be kept everywhere, use `Scene.margin` instead.
 
     Raises
     ------
@@ -122,7 +121,7 @@ class Improve:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(KeepsReadOnly):
-    """A path with its cost and a lower bound on the cost of every path to the goals: the result of `plan_full`.
+    """The result of `plan_full`: a path with its cost, and a lower bound on the cost of every path to the goals.
 
     The cost of a motion is the Euclidean norm of the weighted changes of joint values, and the cost of the path is the
     sum over its motions. If a clearance was given, the cost is higher near obstacles.
@@ -134,9 +133,9 @@ class Plan(KeepsReadOnly):
     cost : float
         Cost of the path.
     bound : float
-        Lower bound on the cost of every path from the start to one of the goals. The bound is the least cost of a
-        straight motion to a goal that is free and within the limits; the motion itself need not be free. For a
-        `PoseGoal` the bound is 0, since configurations that were not tried may reach the pose at a lower cost.
+        Lower bound on the cost of every path from the start to one of the goals. The bound is the least cost of the
+        straight motions to the goals that are free and within the limits. The motions themselves need not be free. For
+        a `PoseGoal` the bound is 0, since configurations that were not tried may reach the pose at a lower cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
@@ -144,9 +143,8 @@ class Plan(KeepsReadOnly):
     proof : Proof or None
         A proof that the path is free, if one was requested.
     clearance : float or None
-        Least distance [m] of the robot, at 128 or more points of the path, from the scene's bodies that are not
-        attached to the robot. The distance is infinite if there are no such bodies, and None unless a clearance was
-        requested.
+        Least distance [m] between the robot and the unattached bodies of the scene, at 128 or more points of the path.
+        The distance is infinite if there are no such bodies, and None if no clearance was requested.
     approach : int or None
         The row of the path at which the approach of a `PoseGoal` begins, if there is an approach.
     retreat : ndarray, shape (k, dof), or None
@@ -174,7 +172,7 @@ class Plan(KeepsReadOnly):
 
     @property
     def gap(self) -> float:
-        """The excess of the cost over the bound, divided by the bound; no path is cheaper by more than the excess."""
+        """The excess of the cost over the bound, divided by the bound. No path is cheaper by more than the excess."""
         if self.cost == self.bound:
             return 0.0
         return float((self.cost - self.bound) / self.bound) if self.bound > 0.0 else math.inf
@@ -199,7 +197,7 @@ class Improvement:
     began, deadline : float
         When the call began, and when to return, on the monotonic clock.
     clearance : float
-        Distance from obstacles below which the cost rises [m]; 0 if it does not rise.
+        Distance from obstacles below which the cost rises [m], or 0 if the cost does not rise.
     seed : int
     """
 
@@ -212,7 +210,7 @@ class Improvement:
 
     @classmethod
     def of(cls, robot: Robot, improve: Improve, search: Search, seed: int) -> Improvement:
-        """Check the options that depend on the robot and the search; the time starts now."""
+        """Check the options that depend on the robot and the search. The time is counted from this call."""
         began, most, seconds = time.monotonic(), improve.iterations, improve.seconds
         if improve._wanted and search.planner is not None:
             raise InputError(
@@ -227,7 +225,7 @@ class Improvement:
     def plan(
         self, path: Floats, ends: Departures, goals: Floats, iterations: int, others: bool, clearing: Clearing | None
     ) -> Plan:
-        """Make the full result for a path to one of the given free goals; with `others`, further goals may exist."""
+        """Make the full result for a path to one of the given free goals. With `others`, further goals may exist."""
         kept = {goal.tobytes() for goal in goals}
         targets = ends.goals[[goal.tobytes() in kept for goal in ends.free_goals]]
         cost = cost_of(self.weights, path) if clearing is None else clearing.cost_of(path)
@@ -264,7 +262,7 @@ def least_cost(space: Space, weights: Floats, start: Floats, goals: Floats) -> f
 
 @dataclass(eq=False)
 class Polish:
-    """A path to be polished, in the form that `polish_path` needs."""
+    """A path that is being polished, in the form that `polish_path` needs."""
 
     judge: Judge
     box: Floats
@@ -284,7 +282,7 @@ class Polish:
         return cls(judge, box, rows, len(path), state, np.array([0.5]), cost_of(box[2], path))
 
     def on(self, most: int) -> int:
-        """Polish up to this total number of steps; return MET if only a straight motion is left."""
+        """Polish up to this total number of steps. Return MET if only a straight motion is left."""
         if self.count > 2:
             ends, points = np.empty((2, self.rows.shape[1])), np.empty_like(self.rows)
             self.count = entries.polish_path(
@@ -320,7 +318,7 @@ class Rounds:
     least : float
         Cost of the straight path.
     longest : float
-        The longest motion of a tree in a search without a bound on the cost.
+        Length of a tree's longest motion in a search without a bound on the cost.
     seed : int
     deadline : float
     searches : int
@@ -368,7 +366,7 @@ class Rounds:
         self.searches = max(int(AFTER_SUCCESS * self.searches), FIRST_SEARCH)
         try:
             polish = Polish.of(growth.judge, box, growth.path(), seed)
-        except PlanningError:  # the path is not free as a whole
+        except PlanningError:  # the path as a whole is not free
             return
         self._on(polish, QUICK_STEPS)
         if polish.cost < PROMISING * best.cost:
@@ -377,7 +375,7 @@ class Rounds:
             self.best = polish
 
     def _resting(self, found: Polish) -> Polish:
-        """Let idle joints rest on the whole path wherever the path is still free."""
+        """Keep idle joints still on the whole path, as far as the path remains free."""
         for k in self.growth.space.columns[self.idle]:
             path, box = found.path.copy(), found.box.copy()
             if (path[:, k] == path[0, k]).all():
@@ -388,7 +386,7 @@ class Rounds:
         return found
 
     def _on(self, work: Growth | Polish, steps: int) -> int:
-        """Let a kernel work, in portions that do not change the result; return its code."""
+        """Let a kernel work in portions, which do not change the result; return the kernel's code."""
         outcome, last = codes.SPENT, int(work.state[ITERATION]) + steps
         while outcome != codes.MET and (done := int(work.state[ITERATION])) < last:
             called = time.monotonic()
@@ -403,17 +401,17 @@ class Rounds:
 def improved(
     space: Space, judge: Judge, path: Floats, goals: Floats, asked: Improvement, clearing: Clearing | None
 ) -> tuple[Floats, int]:
-    """Improve a path to one of several free goals; return it with the number of rounds.
+    """Improve a path to one of several free goals; return the path and the number of rounds.
 
-    The judge finds all motions of the given path and of the result free. With a clearance, half of the rounds and of
-    the time serve to shorten the path, and the rest to move it away from obstacles.
+    The judge accepts all motions of the given path, and of the result. With a clearance, half of the rounds and of the
+    time shorten the path, and the other half move the path away from obstacles.
     """
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked)
     now = time.monotonic()
     first = replace(asked, most=asked.most // 2, deadline=now + 0.5 * (asked.deadline - now))
     shorter, done = _shorter(space, judge, path, goals, first)
-    best = min(shorter, path, key=clearing.cost_of)  # the shortest path may be the one that is nearest to obstacles
+    best = min(shorter, path, key=clearing.cost_of)  # the shortest path may be nearest to obstacles
     path, more = clearing.cleared(space, best, asked.most - done, asked.deadline)
     return path, done + more
 

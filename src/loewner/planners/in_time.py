@@ -1,9 +1,9 @@
-"""Plan among bodies that follow motions: search in space and time, with motions proven at the times when they happen.
+"""Plan among moving bodies: search in space and time, and prove motions at the times at which they happen.
 
-A state is a configuration followed by a time [s], which counts from the start of the plan. First the direct motion is
-tried, and then a path planned without the moving bodies, with several starting times and speeds. After that, two trees
-grow, forward in time from the start and backward from the goals. Motions are proven in batches, since the overhead of a
-call is as long as the proof of ten motions.
+A state is a configuration followed by a time [s], which counts from the start of the plan. The direct motion is tried
+first. Next, a path that is planned without the moving bodies is tried with several starting times and speeds. Finally,
+two trees grow: one forward in time from the start, and one backward from the goals. Motions are proven in batches,
+since the overhead of a call takes as long as the proofs of ten motions.
 """
 
 from __future__ import annotations
@@ -44,30 +44,29 @@ SLACK = 1e-9
 # The default horizon is CROSSINGS times the time to cross all ranges, after PERIODS periods of motions that repeat.
 CROSSINGS, PERIODS = 4.0, 2.0
 
-# Longest time to cross all ranges [s], more than thirty years: a longer time must be due to a wrong unit.
+# Longest allowed time to cross all ranges [s], more than thirty years. A longer time must be due to a wrong unit.
 SLOWEST = 1e9
 
-# Largest spacing of times near the start, as a share of the time to cross all ranges.
+# Largest allowed spacing of floating-point times near the start, as a share of the time to cross all ranges.
 COARSEST = 1e-6
 
-# Largest number of changes in a body's repeated motion during a plan: each change divides the robot's motions.
+# Largest number of changes in a body's repeated motion during a plan. Each change divides the robot's motions.
 MOST_KNOTS = 2**14
 
-# For the path through the static scene: the number of later starts within the horizon, and longer durations, in
-# multiples of the shortest duration.
+# For the path through the static scene: the number of later starts that are tried within the horizon, and the longer
+# durations that are tried, in multiples of the shortest duration.
 STARTS, SLOWER = 12, (1.5, 2.0, 3.0)
 
-# Numbers per round: configurations that are sampled, motions of a branch towards each of them, and new times of
-# arrival.
+# Numbers per round: sampled configurations, motions of a branch towards a sample, and new times of arrival.
 DRAWN, MOTIONS, ARRIVALS = 8, 3, 4
 
 # SHARE: the longest motion of a tree, as a share of the time to cross all ranges. GROWTH: the factor by which the
-# horizon grows in a round, up to the given horizon. ALONG and NEAR: the share of configurations that are sampled near
-# the path, and how near. HASTY: the share of branches at full speed.
+# horizon grows in a round, up to the given horizon. ALONG: the share of configurations that are sampled near the path.
+# NEAR: how close to the path these configurations are. HASTY: the share of branches at full speed.
 SHARE, GROWTH, ALONG, NEAR, HASTY = 1 / 6, 1.2, 0.5, 0.1, 0.5
 
-# Limits of shortening: the number of rounds, the number of rounds without success, and the least relative gain. SAVED:
-# for each change in a round, the share of the possible gain in time.
+# Limits of shortening: the number of rounds, the number of successive rounds without success, and the least relative
+# gain. SAVED: for each change that a round tries, the share of the possible gain in time.
 ROUNDS, IDLE, GAIN = 6, 2, 1e-3
 SAVED = (1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0)
 
@@ -77,7 +76,7 @@ FEW = 3
 # Number of values that a search for nearest states handles at a time: about 100 MB.
 LARGE = 2**22
 
-# Number of periods in which waiting at the start is examined, for a message.
+# Number of periods for which waiting at the start is examined, for an error message.
 SLOTS = 64
 
 
@@ -141,7 +140,7 @@ class TimedJudge:
         return doubt or touching(contacts)
 
     def waiting(self, q: Floats) -> str:
-        """Describe the first body that comes too near to a robot waiting at the start."""
+        """Describe the first body that comes too close to a robot that waits at the start."""
         if self.ready.paths is None:
             return ""
         t, Q = self.begin + self.limit * np.linspace(0.0, 1.0, SLOTS + 1) ** 2, np.tile(q, (SLOTS, 1))
@@ -172,7 +171,7 @@ def plan_in_time(
     search: Search | None = None,
     seed: int = 0,
 ) -> Trajectory:
-    """Find a trajectory from start to goal among moving bodies, proven free of collisions as a whole.
+    """Plan a trajectory from start to goal among moving bodies, which is proven free of collisions as a whole.
 
     Parameters
     ----------
@@ -185,38 +184,39 @@ def plan_in_time(
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, leaves
-        four times the time that the joints need to cross their ranges after the end of all bodies' motions. A repeated
-        motion counts as ended after two periods.
+        The latest arrival [s], on the same clock as `start_time`. By default, and at most, this time is the end of all
+        bodies' motions plus four times the time in which the joints can cross their ranges. A repeated motion counts as
+        ended after two periods.
     search : Search, optional
-        The fields `max_iterations`, `timeout` and `simplify` apply; `planner` must not be set, and motions are always
-        proven.
+        The fields `max_iterations`, `timeout` and `simplify` apply. The field `planner` must not be set. Motions are
+        always proven.
 
     Returns
     -------
     Trajectory
         Between the trajectory's times, the robot moves straight at a constant rate, or waits. The times are relative to
-        the trajectory's `start_time`. For this start time, ``checker.certify_trajectory(found)`` proves the trajectory
+        the trajectory's `start_time`. For this start time, ``checker.certify_trajectory`` also proves the trajectory
         FREE. No velocity exceeds its limit by more than two units of rounding.
 
     Raises
     ------
     PlanningError
-        As for `plan`. Also if the start collides at the start time (the message names pairs and depths), or if no goal
-        can be reached by the latest arrival within the velocity limits.
+        As for `plan`. Also if the start collides at the start time, or if no goal can be reached by the latest arrival
+        within the velocity limits. For a collision, the message names pairs and depths.
     InputError, UnknownNameError
         As for `plan`.
 
     See Also
     --------
-    time_path : Assigns times to a path among bodies that move, so that the robot's drives can follow it.
+    time_path : Assigns times to a path among moving bodies, within the limits of the robot's drives.
 
     Notes
     -----
-    The direct motion is tried first, and then the path through the scene without the moving bodies, at several starting
-    times and speeds. If no attempt is proven, two trees grow, forward in time from the start and backward from the
-    goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened, but need not
-    arrive as early as possible. A contact counts as a collision even if `Scene.leave` or `Scene.reach` permits it.
+    The direct motion is tried first. Next, the path through the scene without the moving bodies is tried at several
+    starting times and speeds. If no attempt is proven, two trees grow: one forward in time from the start, and one
+    backward from the goals at several times of arrival (Grothe et al., "ST-RRT*", ICRA 2022). The result is shortened,
+    but it may arrive later than necessary. A contact counts as a collision even if `Scene.leave` or `Scene.reach`
+    permits it.
 
     Examples
     --------
@@ -303,7 +303,7 @@ def _judge(
 
 
 def horizon_of(ready: Problem, begin: float) -> float:
-    """Return how long bodies still move after the start of a plan; a repeated motion counts for `PERIODS` periods."""
+    """Return how long bodies still move after the start of a plan. A repeated motion counts for `PERIODS` periods."""
     paths = () if ready.paths is None else ready.paths.paths
     spans = [PERIODS * path.period if path.repeat else max(float(path.times[-1]) - begin, 0.0) for path in paths]
     return max(spans, default=0.0)
@@ -327,9 +327,9 @@ def _started(judge: TimedJudge, path: Floats) -> Floats | None:
 
 
 def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = None) -> list[Floats]:
-    """Return the candidates whose motions are all proven free; motions between `known` rows are free.
+    """Return the candidates whose motions are all proven free. Motions between successive `known` rows count as proven.
 
-    A few motions of each candidate are proven first, since most candidates fail at these.
+    A few motions of each candidate are proven first, because most candidates fail there.
     """
     before = set() if known is None else {a.tobytes() + b.tobytes() for a, b in zip(known[:-1], known[1:], strict=True)}
     left = [
@@ -350,7 +350,7 @@ def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = N
 
 
 class _Tree:
-    """States that are connected with a start by free motions, or with goals if it grows backward."""
+    """States from which free motions lead back to a start or, in a tree that grows backward, on to a goal."""
 
     def __init__(self, judge: TimedJudge, roots: Floats, ahead: bool, longest: float) -> None:
         self.judge, self.states, self.ahead, self.longest = judge, roots, ahead, longest
@@ -361,7 +361,7 @@ class _Tree:
         self.states, self.parents = np.concatenate([self.states, states]), np.concatenate([self.parents, parents])
 
     def nearest(self, states: Floats) -> Ints:
-        """Find, for each given state, the nearest node from which the state can be reached in time; -1 for none."""
+        """For each given state, find the nearest node from which the state can be reached in time, or -1."""
         if len(states) > 1 and states.size * len(self.states) > LARGE:
             return np.concatenate([self.nearest(state[None]) for state in states])
         ways = np.abs(states[:, None, :-1] - self.states[None, :, :-1]) / self.judge.fastest
@@ -416,9 +416,9 @@ class _Trees:
     first : ndarray, shape (dof + 1,)
         The start.
     ends : ndarray, shape (goals, dof + 1)
-        The goals at the earliest times at which they could be reached.
+        The goals at the earliest times at which the robot could reach them.
     path : ndarray, shape (k, dof)
-        A path from the start to a goal, which is not free at all times.
+        A path from the start to a goal, which moving bodies may block.
     """
 
     space: Space
@@ -435,7 +435,7 @@ class _Trees:
         self.backward = _Tree(judge, self.ends[:0], False, longest)
 
     def connected(self, most: int, timeout: float) -> Floats:
-        """Let the trees grow until they meet; return the states from the start to a goal.
+        """Grow the trees until they meet; return the states from the start to a goal.
 
         Raises
         ------
@@ -470,7 +470,7 @@ class _Trees:
         )
 
     def _arrive(self, window: float) -> str:
-        """Add goals at random times; describe a contact if a goal is not free."""
+        """Add goals at random times. If a goal is not free, describe the contact."""
         new = self.ends[self.rng.integers(len(self.ends), size=ARRIVALS)]
         new[:, -1] += self.rng.random(ARRIVALS) * np.maximum(window - new[:, -1], 0.0)
         new = new[new[:, -1] <= self.judge.limit]
@@ -498,7 +498,7 @@ class _Trees:
         return np.asarray(samples[low <= high])
 
     def _met(self, one: _Tree, other: _Tree, samples: Floats) -> Floats | None:
-        """Let one tree grow towards samples, and from there towards the other tree; return the way if they meet."""
+        """Grow one tree towards samples, and from there towards the other tree. Return the way if the trees meet."""
         at = one.nearest(samples)
         at, samples = at[at >= 0], samples[at >= 0]
         if len(at) == 0:
@@ -523,14 +523,14 @@ class _Trees:
 
 
 def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Generator) -> Floats:
-    """Cut corners in space and time: arrive earlier where that is proven, or else by a shorter way."""
+    """Cut corners in space and time: arrive earlier if this is proven, or otherwise move along a shorter way."""
     idle, enough = 0, least * (1.0 + GAIN)
     for _ in range(ROUNDS):
         if idle == IDLE or rows[-1, -1] <= enough:
             break
         cuts = np.sort(rng.random((len(SAVED), 2)) * rows[-1, -1], axis=1).tolist()
         tried = [_changed(judge, rows, begin, end, share) for (begin, end), share in zip(cuts, SAVED, strict=True)]
-        if idle == 0:  # also cut single corners, and leave out waits
+        if idle == 0:  # also cut single corners, and remove waits
             waits = (rows[1:, :-1] == rows[:-1, :-1]).all(axis=1)
             at = rows[:, -1]
             pairs = np.concatenate([[at[:-2], at[2:]], [at[:-1][waits], at[1:][waits]]], axis=1).T.tolist()
@@ -548,7 +548,7 @@ def _shortened(judge: TimedJudge, rows: Floats, least: float, rng: np.random.Gen
 
 
 def _changed(judge: TimedJudge, rows: Floats, begin: float, end: float, share: float) -> Floats:
-    """Move straight between two times, and save a share of the time that the straight motion does not need."""
+    """Move straight between two times, and save a share of the time that the straight motion leaves unused."""
     times, at = rows[:, -1], np.array([begin, end])
     k = np.minimum(np.searchsorted(times, at, side="right") - 1, len(rows) - 2)
     two = rows[k] + ((at - times[k]) / (times[k + 1] - times[k]))[:, None] * (rows[k + 1] - rows[k])

@@ -1,9 +1,9 @@
-"""Time the motions of a path, and the blends between them, with limited jerk: every piece is a cubic polynomial.
+"""Assign times to the motions of a path, and to the blends between motions, with limited jerk, by cubic polynomials.
 
 Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes to the
-direction of the next motion in up to three phases: the acceleration grows, stays constant, and falls. Both kinds of
-pieces begin and end without acceleration. docs/howto/trajectories.md and docs/design/trajectories.md describe these
-pieces.
+direction of the next motion in up to three phases: the acceleration grows, stays constant, and falls. The acceleration
+is zero at both ends of every motion and every blend. docs/howto/trajectories.md and docs/design/trajectories.md
+describe these pieces.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from loewner.planners.straights import LARGEST_RATIO, Row, Straights, smallest
 TO_ROUNDING = 1e-6
 
 # The error of a velocity, an acceleration or a jerk on one phase is at most NOISE times a length, divided by a power of
-# the phase's duration. The length is the largest position plus the distance covered at the highest speed in the whole
-# time; see docs/certified.md.
+# the phase's duration. The length is the largest position plus the distance covered at the highest speed in the total
+# duration; see docs/certified.md.
 NOISE = 1024.0 * tolerances.UNIT_ROUNDOFF
 
-# Bound on the error of computed cubic blends, relative to the largest value and to the distance covered at full speed
-# in the whole time.
+# Bound on the error of computed cubic blends, relative to the sum of the largest value and the distance covered at full
+# speed in the total duration.
 CUBIC_ROUNDINGS = 64.0 * tolerances.UNIT_ROUNDOFF  # certified.md B54
 
 
@@ -39,7 +39,7 @@ def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: Floa
     Parameters
     ----------
     size : ndarray, shape (dof,)
-        The largest position plus the distance covered at the highest speed in the whole time.
+        The largest position plus the distance covered at the highest speed in the total duration.
     fastest, strongest, jerk : ndarray, shape (dof,), or infinite
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -49,7 +49,7 @@ def shortest(size: Floats, fastest: Floats, strongest: FloatOrFloats, jerk: Floa
 
 
 class JerkLimited(NamedTuple):
-    """The motions of a path, and the limits on their changes of speed and direction.
+    """The motions of a path, with the limits on changes of speed and direction.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class JerkLimited(NamedTuple):
             gains, jerks = ([smallest(limit / way) for way in ways] for limit in (strongest, jerk))
             lengths = straights.lengths
             stopping = lengths + 2 * np.sqrt(lengths / gains[0]) + _elementary.cbrt(32 * lengths / jerks[0])
-            # No corner, and no motion between two corners, can be passed at a higher share of full speed.
+            # Neither a corner, nor a motion between two corners, can be passed at a higher share of full speed.
             shorter = np.minimum(lengths[:-1], lengths[1:])
             at = np.minimum(np.sqrt(gains[1] * shorter), _elementary.cbrt(jerks[1] * shorter**2))
             at = np.minimum(np.maximum(np.append(0.0, at), np.append(at, 0.0)), 1.0)[: len(lengths)]
@@ -151,11 +151,11 @@ class JerkLimited(NamedTuple):
         return speeds, [phases(left[k], self.along[k], speeds[k], speeds[k + 1]) for k in range(len(left))]
 
     def _bends(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute three cubic pieces of each blend; the second may have no duration.
+        """Compute three cubic pieces of each blend. The duration of the second piece may be zero.
 
-        The first array has the ends of the pieces, shape (corners, 4, dof). The second array has the velocities at
-        these ends, times the duration of the blend. The third array has the durations of the pieces as shares of the
-        blend's duration, shape (corners, 3, 1).
+        The first array contains the ends of the pieces, shape (corners, 4, dof). The second array contains the
+        velocities at these ends, multiplied by the duration of the blend. The third array contains the durations of the
+        pieces as shares of the blend's duration, shape (corners, 3, 1).
         """
         first, _, last = self.straights.corners(halves)
         sized = zip(halves.tolist(), self.across, strict=True)

@@ -1,4 +1,4 @@
-"""Limits of position, velocity, acceleration and jerk: ROS's joint_limits.yaml, and the limits for one trajectory."""
+"""Read position, velocity, acceleration and jerk limits from joint_limits.yaml, and find the limits of a trajectory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from loewner._kernels import columns as tree_columns
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
 
-# Seconds in which a joint reaches its velocity limit, if no acceleration limit is given.
+# If no acceleration limit is given, a joint reaches its velocity limit in this time [s].
 UP_IN = 1.0
 
 # A configuration outside a limit by no more than this rounding error counts as on the limit, as in OMPL.
@@ -29,11 +29,11 @@ ON_LIMIT = float(np.finfo(np.float64).eps)
 # The largest file [bytes].
 MOST_BYTES = 2**24
 
-# Kinds of limits in a file, and the attribute that each of them bounds.
+# Kinds of limits in a file, and the attribute of `JointLimits` for each kind.
 KINDS = {"velocity": "velocity", "acceleration": "acceleration", "deceleration": "acceleration", "jerk": "jerk"}
 
-# Keys of a joint. Keys of MoveIt and ros2_control for forces, gains and angles that wrap around come last: they do not
-# affect trajectories.
+# Keys of a joint. The last keys do not affect trajectories: MoveIt and ros2_control use them for forces, gains and
+# angles that wrap around.
 KEYS = (
     *(key for kind in KINDS for key in (f"max_{kind}", f"has_{kind}_limits")),
     *("min_position", "max_position", "has_position_limits"),
@@ -48,7 +48,7 @@ FACTORS = {kind: f"default_{kind}_scaling_factor" for kind in ("velocity", "acce
 
 @dataclass(frozen=True, eq=False)
 class JointLimits(KeepsReadOnly):
-    """Limits of a robot's values; read by `load` from the ``joint_limits.yaml`` of MoveIt or ros2_control.
+    """Limits of a robot's joint values. `load` reads limits from the ``joint_limits.yaml`` of MoveIt or ros2_control.
 
     Attributes
     ----------
@@ -79,17 +79,17 @@ class JointLimits(KeepsReadOnly):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], robot: Robot, *, scaled: bool = False) -> JointLimits:
-        """Read limits from a file; they replace the URDF's limits of the same joints.
+        """Read limits from a file. They replace the URDF's limits of the same joints.
 
         Parameters
         ----------
         path : path
-            A YAML file with the key ``joint_limits``, which may be within ROS's parameters, and may occur several times
-            for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give a limit, and
-            ``has_velocity_limits: false`` means that the velocity is unlimited. Limits of acceleration, deceleration
-            and jerk have the same form, and so do ``min_position`` and ``max_position``; soft limits narrow this range
-            of positions. Limits of a mimicking joint bound the joint that it mimics, except for position limits, which
-            cause a warning instead. Angles may be tagged ``!degrees``.
+            A YAML file with the key ``joint_limits``. The key may be nested within ROS parameters, and may occur
+            several times for different joints. For each joint, ``has_velocity_limits: true`` and ``max_velocity`` give
+            a limit, and ``has_velocity_limits: false`` means that the velocity is unlimited. Limits of acceleration,
+            deceleration and jerk have the same form. ``min_position`` and ``max_position`` limit positions, and soft
+            limits narrow this range. Limits of a mimicking joint apply to the joint that it mimics, except for position
+            limits, which cause a warning instead. Angles may be tagged ``!degrees``.
         robot : Robot
         scaled : bool
             Multiply the limits of velocity and acceleration by the file's default scaling factors, which are at most 1.
@@ -104,15 +104,16 @@ class JointLimits(KeepsReadOnly):
             If the file does not exist, contains no limits, or contains a joint or a key twice. If a joint has an
             unknown key or a malformed limit. If a scaling factor is not next to ``joint_limits``.
         UnknownNameError
-            If the file names a joint that the robot lacks; the message lists such joints and the robot's joints.
+            If the file names a joint that the robot lacks. The message lists all such joints, and the robot's joints.
         MissingExtraError
             If PyYAML is not installed.
 
         Warns
         -----
         UserWarning
-            If limits of a joint that turns are probably in degrees. If the file contains other tables next to
-            ``joint_limits``, or position limits of joints that mimic other joints. Each warning is issued at most once.
+            If limits of a revolute joint are probably in degrees. If the file contains other tables next to
+            ``joint_limits``. If the file contains position limits of joints that mimic other joints. Each warning is
+            issued at most once.
 
         Examples
         --------
@@ -132,7 +133,7 @@ class JointLimits(KeepsReadOnly):
 
 
 def expect_robot(robot: Robot) -> None:
-    """Raise an InputError for anything but a robot."""
+    """Raise an InputError if an argument is not a robot."""
     _validate.instance(robot, "robot", Robot)
 
 
@@ -144,7 +145,7 @@ def limits_of(
     acceleration: ArrayLike | None,
     jerk: ArrayLike | None,
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return velocity, acceleration and optional jerk limits, shape (dof,); infinite for joints that do not move.
+    """Return velocity, acceleration and optional jerk limits, shape (dof,); limits of unmoved joints are infinite.
 
     The positions of a path are checked against the given limits.
     """
@@ -173,10 +174,10 @@ def limits_of(
 
 
 def _expect_within(robot: Robot, rows: Floats, given: JointLimits) -> None:
-    """Raise an InputError for a position outside the limits; blends and profiles stay within the hull of the rows.
+    """Raise an InputError if a row is outside the position limits.
 
-    Where the file does not change a limit, the hard limit of the joint counts: a plan may start outside the soft
-    limits.
+    Blends and profiles stay within the convex hull of the rows. If the file does not change a limit, the hard limit of
+    the joint applies, because a plan may start outside the soft limits.
     """
     lower, upper = position_limits(robot, given)
     for row, k in np.argwhere(beyond(rows, lower, upper))[:1]:
@@ -196,7 +197,7 @@ def limits_by_name(name: str, limit: ArrayLike | None, sources: Iterable[Any], o
 
 
 def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
-    """Check one positive number, or one number per joint, and return one number per joint."""
+    """Check a positive number, or one positive number per joint, and return one number per joint."""
     array = _validate.positive_array(limit, name, ("...",))
     if array.shape not in ((), (dof,)):
         raise InputError(f"{name}: expected one number or shape ({dof},), found {_validate.shape_text(array.shape)}")
@@ -204,8 +205,8 @@ def per_joint(limit: ArrayLike, name: str, dof: int) -> Floats:
 
 
 def _holders(top: Node, beside: list[Node]) -> list[dict[str, Node]]:
-    """Find the mappings with a table of joints at any depth; `beside` receives the nodes that lead to no table."""
-    leads: dict[int, bool] = {}  # whether a place leads to a table; an alias may lead to a place that contains it
+    """Find the mappings with a table of joints at any depth. Nodes that lead to no table are added to `beside`."""
+    leads: dict[int, bool] = {}  # whether a table is below a node; an alias may refer to a node above it
 
     def leading(node: Node) -> bool:
         if node.kind != "mapping":
@@ -285,13 +286,13 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
         warn(f"{root.file}: not read: positions of joints that mimic others, {some(followed)}; limit those they mimic")
     limits["velocity"] = np.where(np.isnan(limits["velocity"]), robot.velocity, limits["velocity"])
     followed_here = [columns[joint][0] for joint, _ in robot.mimics.values() if joint in columns]
-    # A joint that other joints mimic also keeps the velocity limits that the URDF gives for the other joints.
+    # If other joints mimic a joint, their velocity limits in the URDF also apply to this joint.
     limits["velocity"][followed_here] = np.fmin(limits["velocity"], robot.velocity)[followed_here]
     for k in np.flatnonzero(lower > upper)[:1]:
         bounds = f"{lower[k]:g} and {upper[k]:g}"
         raise root.error(f"{robot.configuration_names[k]}: expected min_position <= max_position, found {bounds}")
     for kind, factors_of in scales.items():
-        # If there is only one table, its factors also apply to joints that the file does not name.
+        # The factors of a single table also apply to joints that the file does not name.
         rest = factors[0][kind] if len(factors) == 1 else 1.0
         named = np.isin(np.arange(robot.dof), [columns[name][0] for name in entries])
         limits[kind] = limits[kind] * np.where(named, factors_of, rest)
@@ -301,7 +302,7 @@ def _read(root: Node, robot: Robot, scaled: bool) -> tuple[JointLimits, list[str
 
 
 def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
-    """Return the scaling factors beside a table, which are 1 unless they are requested."""
+    """Return the scaling factors next to a table, or factors of 1 if scaling is not requested."""
     factors = {}
     for kind, key in FACTORS.items():
         factor = holder[key].number() if key in holder else 1.0
@@ -312,7 +313,7 @@ def _factors(holder: dict[str, Node], scaled: bool) -> dict[str, float]:
 
 
 def _limits_of_joint(entry: Node) -> dict[str, float]:
-    """Return the limits of one joint, keyed by kind, "lower" or "upper"; infinite if the joint declares no limit."""
+    """Return the limits of one joint, keyed by kind, "lower" or "upper". A limit that is not declared is infinite."""
     keys, limits = entry.mapping(None), {}
     if not keys:
         raise entry.error("expected limits by their names, found none")
@@ -323,7 +324,7 @@ def _limits_of_joint(entry: Node) -> dict[str, float]:
             held.flag()
 
     def given(key: str, has: str) -> float | None:
-        """Return a limit; None if there is no limit, or if the limit does not count."""
+        """Return a limit, or None if there is no limit or the limit does not count."""
         counts = keys[has].flag() if has in keys else True
         return keys[key].angle() if key in keys and counts else None
 
@@ -362,7 +363,7 @@ def _expect_joints(file: str, names: list[str], known: Mapping[str, Any]) -> Non
 
 
 def _turning(robot: Robot) -> Bools:
-    """Return which values are angles for all joints that follow these values, shape (dof,)."""
+    """Return which values are angles, shape (dof,), for the joint itself and for all joints that mimic it."""
     kind, column, turning = robot.tree.kind, robot.tree.column, np.zeros(robot.dof, dtype=bool)
     turning[column[kind == tree_columns.REVOLUTE]] = True
     turning[column[(kind != tree_columns.REVOLUTE) & (kind != tree_columns.FIXED)]] = False
@@ -375,7 +376,7 @@ def beyond(values: Floats, lower: Floats, upper: Floats) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """If a motion's start is within the hard limits, widen the columns' ranges to include the start, and warn."""
+    """Widen the columns' ranges to include a motion's start, and warn, if the start is within the hard limits."""
     values = q[columns]
     hard = beyond(values, robot.hard_lower[columns], robot.hard_upper[columns])
     at = np.flatnonzero(beyond(values, lower, upper) & ~hard)
@@ -391,7 +392,7 @@ def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Flo
 
 
 def position_limits(robot: Robot, limits: JointLimits | None) -> tuple[Floats, Floats]:
-    """Return the hard limits of a robot's positions, or the limits of a file where it gives other limits."""
+    """Return a robot's position limits: the limits that a file changed, and otherwise the hard limits."""
     if limits is None:
         return robot.hard_lower, robot.hard_upper
     lower = np.where(limits.lower == robot.lower, robot.hard_lower, limits.lower)

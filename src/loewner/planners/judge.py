@@ -1,8 +1,8 @@
-"""Decide for planners whether motions are free, by proof or by sampling.
+"""Decide for planners whether motions are free, by proofs or by samples.
 
-One `Judge` accompanies a path from its first motion to its last shortening and refers to a single state of the scene.
-The scene may change meanwhile, and motions that are free at different times need not form a path that is free at any
-one time.
+A single `Judge` is used for a path from its first motion to its last shortening, and refers to a single state of the
+scene. The scene may change meanwhile, and motions that are free at different times may form a path that is never free
+as a whole.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.curves import joint_errors
 from loewner.robots.proofs.proofs import ProofOptions, deviations, prove, prove_by_rules
 
-# Motions that come nearer than TOLERANCE to colliding [m] may count as not free.
+# Motions that come closer to a collision than TOLERANCE [m] may count as not free.
 TOLERANCE = 1e-5
 
 
@@ -48,15 +48,15 @@ class Judge:
     ----------
     checker : CollisionChecker
     ready : Problem
-        The pairs in one consistent state of the scene; all motions are judged with these pairs.
+        The pairs in one consistent state of the scene. All motions are judged with these pairs.
     resolution : float
         Largest step between samples; 0 if motions are proven.
     samples : int
         Number of samples that the longest motion needs.
     joint_error : ndarray, shape (dof,), or None
-        How far values may deviate from motions that are proven; None for no deviation.
+        How far values may deviate from proven motions; None if they do not deviate.
     kept : KeptAxis or None
-        An axis that every motion must keep near a direction.
+        An axis that every motion must keep within an angle of a direction.
     """
 
     checker: CollisionChecker
@@ -75,7 +75,7 @@ class Judge:
         Raises
         ------
         InputError
-            If the joint error has the wrong shape or is negative, or is given for motions that are sampled.
+            If the joint error has the wrong shape or is negative, or if it is given for sampled motions.
         """
         errors = joint_errors(checker.robot, joint_error)
         if resolution and errors.any():
@@ -100,7 +100,7 @@ class Judge:
 
     @property
     def errors(self) -> Floats:
-        """The joint error, shape (dof,), also if no value deviates."""
+        """The joint error, shape (dof,); zeros if no value deviates."""
         return np.zeros(self.checker.robot.dof) if self.joint_error is None else self.joint_error
 
     def asked(self) -> tuple[Ints, Floats]:
@@ -113,7 +113,7 @@ class Judge:
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
-        """Return which motions of a batch are free and keep the axis; an unsettled motion counts as not free."""
+        """Return which motions of a batch are free and keep the axis. An unsettled motion counts as not free."""
         if not self.resolution:
             courses = straight(self.ready.robot, Q0, Q1)
             free = self.proven(courses, deviations(courses, self.joint_error))
@@ -140,7 +140,7 @@ class Judge:
 
 
 def free_now(judge: Judge, a: Floats, b: Floats) -> bool:
-    """Return whether one motion is free in the scene's current state; an unsettled motion counts as not free."""
+    """Return whether a motion is free in the scene's current state. An unsettled motion counts as not free."""
     if judge.resolution:
         return verdicts.is_sampled_free(prepared_of(judge.checker), a, b, judge.resolution)
     return bool(judge.now().free(a[None], b[None])[0])
@@ -163,7 +163,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     """
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled) and judge.joint_error is None:
-        touching = np.flatnonzero(~free)  # in the order of the path, on which the rules depend
+        touching = np.flatnonzero(~free)  # in the order of the path, since contact rules depend on the order
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], ProofOptions(TOLERANCE))
         free[touching] = receding.verdicts == codes.FREE
         if free.all() and (deeper := deeper_than_ends(judge.ready, path, touching, TOLERANCE)) is not None:

@@ -1,4 +1,4 @@
-"""Check an axis of a link that is to stay within an angle of a direction, and prepare it for kernels."""
+"""Check an axis of a link that must stay within an angle of a direction, and prepare the axis for kernels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from loewner.robots.description.reaching import Chain, refuse_unsteady
 # Smallest angle [rad]: smaller angles are close to the rounding errors of cosines.
 LEAST_ANGLE = 1e-6
 
-# Share of the angle within which new configurations are kept, so that the motions between them have room.
+# New configurations keep the axis within this share of the angle, so that the axis may deviate further between them.
 SHARE = 0.5
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -37,9 +37,9 @@ class KeptAxis:
         In radians, at most half a turn.
     link : str
     record : Record, optional
-        The arrays of the kernels, for a chain of joints to the link.
+        The kernels' arrays, for the chain of joints that leads to the link.
     table : ndarray of int64, optional
-        The table of the arrays.
+        The table of these arrays.
     """
 
     axis: Floats
@@ -83,7 +83,7 @@ class KeptAxis:
 
     @property
     def handle(self) -> int:
-        """Address for kernels, valid as long as this object lives."""
+        """Address for kernels, which is valid as long as this object exists."""
         assert self.table is not None
         return int(self.table.ctypes.data)
 
@@ -113,7 +113,7 @@ class KeptAxis:
 
 
 def parts_of(keep: Any, wanted: str) -> list[Any]:
-    """Return the parts of an argument `keep`; refuse it if `wanted` names another number of parts."""
+    """Return the parts of an argument `keep`; refuse an argument with another number of parts than `wanted`."""
     listed = _validate.listed(keep, "keep", wanted=wanted)
     if len(listed) != len(wanted.split(",")):
         raise InputError(f"keep: expected {wanted}, found {_validate.short(keep)}")

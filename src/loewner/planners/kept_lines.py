@@ -1,4 +1,4 @@
-"""Straight lines that a link keeps along curves of configurations, with a bound on the link's deviation."""
+"""Prove that a link stays close to a straight line along curves of configurations."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from loewner.robots.proofs.courses import at_fractions
 # Default values of the largest deviations from a line [m, rad].
 POSITION, ROTATION = 1e-4, 1e-3
 
-# Smallest tolerance [m, rad]: smaller tolerances are close to the rounding errors of poses.
+# Smallest tolerance [m, rad]. Smaller tolerances would be close to the rounding errors of poses.
 LEAST_TOLERANCE = 1e-9
 
-# The largest angle of a line [rad]: at half a turn, rounding decides which way around is the shorter one.
+# Largest angle of a line [rad]. At half a turn, rounding would decide which direction of rotation is shorter.
 LARGEST_ANGLE = np.pi - 1e-6
 
-# Rounding error per joint of a deviation from a line on a curve, relative to the lengths and the largest value.
+# Rounding error per joint of a curve's deviation from a line, relative to the lengths and the largest value.
 ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B68
 
-# Numbers of equal parts into which a course is divided, tried in order until the bound is within the tolerance; and the
+# Numbers of equal parts into which a course is divided, tried in order until the bound is within the tolerance, and the
 # largest number of configurations that are computed at a time.
 PARTS, MOST_CONFIGURATIONS = (4, 16, 64, 256, 1024), 2**14
 
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line that a link follows between two rows of a path, and on which `trajectory` keeps the link.
+    """A straight line on which `trajectory` keeps a link between two rows of a path.
 
     The line leads from the pose of the link at the first row to its pose at the last row. The origin of the link moves
-    along a straight line, and the link turns about a fixed axis by the shorter way around, as for `straight`.
+    along a straight line, and the link turns about a fixed axis in the shorter direction, as for `straight`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Line:
 
 
 def checked_tolerance(x: Any, name: str) -> float:
-    """Check a maximum deviation; a rotation can deviate by at most half a turn."""
+    """Check a maximum deviation. A rotation cannot deviate by more than half a turn."""
     value = _validate.positive_scalar(x, name)
     if value < LEAST_TOLERANCE:
         raise InputError(f"{name}: expected at least {LEAST_TOLERANCE:g}, which rounding allows, found {value:g}")
@@ -90,7 +90,7 @@ def checked_tolerance(x: Any, name: str) -> float:
 
 
 class Step(NamedTuple):
-    """The length of a vector fixed in the current frame, and the joint after the vector: a slide, a turn, or none."""
+    """The length of a vector that is fixed in a frame, and the joint at its tip: a slide, a turn, or none."""
 
     length: float
     kind: str
@@ -101,7 +101,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KeptLine:
-    """A line of poses, and the chain of joints to the link that is to keep the line.
+    """A line of poses, and the chain of joints to the link that must keep the line.
 
     At the fraction u, the position is `start` + u `way`, and the rotation is `rotation` + sin(u `angle`) `sine` +
     (1 - cos(u `angle`)) `cosine`.
@@ -138,7 +138,7 @@ class KeptLine:
         poses = robot.forward_kinematics(rows)[:, robot.link_names.index(line.link)]
         R, start, way = poses[:, :3, :3], poses[0, :3, 3], poses[-1, :3, 3] - poses[0, :3, 3]
         turns = quaternions_of(product(R, R[0].T))
-        turns *= np.where(turns[:, :1] < 0, -1.0, 1.0)  # the shorter way around
+        turns *= np.where(turns[:, :1] < 0, -1.0, 1.0)  # the shorter direction
         half_sine = float(lengths(turns[-1, 1:]))
         axis = turns[-1, 1:] / half_sine if half_sine > 0 else np.zeros(3)
         angles = 2 * _elementary.arctan2(dot(turns[:, 1:], axis), turns[:, 0])
@@ -158,14 +158,14 @@ class KeptLine:
         )  # fmt: skip
 
     def keeps(self, courses: Floats, off: Floats) -> tuple[Bools, Floats]:
-        """Return on which courses the link provably keeps the line, and bounds on its deviations.
+        """Return on which courses the link provably keeps the line, and bounds on the link's deviations.
 
         Parameters
         ----------
         courses : ndarray, shape (N, degree + 1, dof + 1)
             The last column is the fraction of the line.
         off : ndarray, shape (N, dof)
-            How far joint values may deviate from the courses.
+            The largest deviations of joint values from the courses.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class KeptLine:
         return np.asarray(both.max(axis=1))
 
     def _bounds(self, courses: Floats, off: Floats) -> tuple[Floats, Floats]:
-        """Bound the second derivatives of deviations, and effects of joint errors and rounding: certified.md B68."""
+        """Bound the second derivatives of deviations, and the effects of joint errors and rounding (B68)."""
         degree, steps = courses.shape[1] - 1, np.diff(courses, axis=1)
         rates = degree * np.abs(steps).max(axis=1)
         bends = degree * (degree - 1) * np.abs(np.diff(steps, axis=1)).max(axis=1, initial=0.0)
@@ -231,7 +231,7 @@ class KeptLine:
 
 
 def kept_lines(line: Any, rows: Floats) -> list[Line]:
-    """Check an argument `line`; row numbers are then counted from the start of the path."""
+    """Check an argument `line`. In the result, row numbers are counted from the start of the path."""
     if line is None:
         return []
     arguments = [line] if isinstance(line, str | Line) else _validate.listed(line, "line", wanted="a link or Lines")
@@ -250,12 +250,12 @@ def kept_lines(line: Any, rows: Floats) -> list[Line]:
 
 
 def chord_of(angle: float) -> float:
-    """Return the distance of a rotation from the identity, in the Frobenius norm."""
+    """Return the distance of a rotation by an angle from the identity, in the Frobenius norm."""
     return float(2 * np.sqrt(2) * _elementary.sin(angle / 2))
 
 
 def angle_of(chord: float) -> float:
-    """Return the angle of a rotation at a given distance from the identity; see `chord_of`."""
+    """Return the angle of a rotation at a given distance from the identity, the inverse of `chord_of`."""
     return float(2 * _elementary.arcsin(min(chord / (2 * np.sqrt(2)), 1.0)))
 
 

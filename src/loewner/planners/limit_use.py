@@ -1,7 +1,7 @@
-"""Compare a curve with a robot's limits at every instant: positions, velocities, accelerations and jerk.
+"""Compare positions, velocities, accelerations and jerk of a curve with a robot's limits at every instant.
 
-A controller's curve is a polynomial on each piece, so extreme values are at the ends of pieces or where a derivative
-has a root.
+A controller's curve is a polynomial on each piece. Its extreme values are therefore at the ends of pieces or at roots
+of derivatives.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from loewner.robots import Robot
 from loewner.robots.proofs.courses import at_fractions
 from loewner.robots.proofs.curves import Curve
 
-# Quantities, and the suffixes that turn the unit of positions into the unit of each quantity.
+# Quantities, and the suffix that is appended to the unit of positions for each quantity.
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 RATES = ("", "/s", "/s²", "/s³")
 
-# Fractions of a piece at which values are compared first; roots are sought only where they may give larger values.
+# Fractions of a piece at which values are compared first. Roots are computed only if a value there may be larger.
 TRIED = np.arange(9) / 8
 
 # Extremes and jumps below the share ROUNDED of the largest value count as rounding errors.
 ROUNDED = 1e-9
 
-# Times are doubted if the largest velocity, multiplied by the factor of a unit of time, would be a share of its limit
-# within the range LIKELY.
+# Times are doubtful if the velocities are too small by the factor of another unit of time: the largest velocity,
+# multiplied by this factor, is a share of its limit within the range LIKELY.
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LIKELY = (0.05, 2.0)
 
 # Velocity limit [rad/s or m/s] that the check of times assumes for a joint without a limit.
 USUAL = 2.0
 
-# Velocities at the ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubted if
-# pieces that break this rule cover more than the share DOUBTED of a joint's way.
+# Velocities at the ends of a monotone cubic are at most STEEPEST times its mean velocity. Velocities are doubtful if
+# pieces that break this rule cover more than the share DOUBTED of the distance that a joint moves.
 STEEPEST, DOUBTED = 3.0, 0.5
 
 
@@ -47,7 +47,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The value of a joint, among all values on a curve, that comes nearest to the limit or exceeds it most.
+    """The value of a joint on a curve that comes closest to the joint's limit, or exceeds the limit most.
 
     Attributes
     ----------
@@ -57,10 +57,10 @@ class Use(NamedTuple):
     value, limit : float
         The value and its limit, in SI units. The limit is infinite if the joint has none.
     ratio : float
-        For a position, the ratio is the distance from the middle of the range divided by half the range; for other
-        quantities, it is the absolute value divided by the limit. The ratio is 0 if there is no limit.
+        For a position, the distance from the middle of the range divided by half the range. For other quantities, the
+        absolute value divided by the limit. The ratio is 0 if there is no limit.
     time : float
-        When the value occurs, in seconds.
+        Time at which the value occurs, in seconds.
     unit : str
         Unit of the value, such as rad/s.
     """
@@ -86,9 +86,9 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return how far a curve with the robot's columns uses each joint's limits; without times, only position limits.
+    """Return how far a curve uses the limits of each joint. Without times, only position limits are compared.
 
-    Position limits are the hard limits, unless the file of `limits` gives other limits.
+    The curve has the robot's columns. Position limits are the hard limits, unless the file of `limits` changes them.
     """
     lower, upper = position_limits(robot, limits)
     uses: list[Use] = []
@@ -154,7 +154,7 @@ def doubts(robot: Robot, curve: Curve, uses: list[Use], velocities: bool) -> lis
         share = np.divide(rate, way, out=np.zeros_like(way), where=way != 0)
         odd |= (share < -ROUNDED) | (share > STEEPEST * (1 + 1e-3))
     ways = np.abs(way)
-    # A parabola may turn within a piece; its mean velocity is the mean of the velocities at its ends.
+    # The mean velocity of a parabola, which may turn back within a piece, is the mean of the velocities at its ends.
     odd &= np.abs((rates[0] + rates[1]) / 2 - way) > DOUBTED * ways
     astray = (ways * odd).sum(axis=0) > DOUBTED * ways.sum(axis=0)
     astray &= ways.sum(axis=0) > ROUNDED
@@ -173,13 +173,13 @@ def _rates(curve: Curve, order: int) -> Floats:
     """Return the control points of a derivative in time, shape (n, points, dof)."""
     points, T = curve.courses, np.diff(curve.times)[:, None, None]
     for _ in range(order):
-        with np.errstate(over="ignore", invalid="ignore"):  # pieces may take hardly any time
+        with np.errstate(over="ignore", invalid="ignore"):  # pieces may be extremely short
             points = (points.shape[1] - 1) * np.diff(points, axis=1) / T
     return np.asarray(points)
 
 
 def _both_signs(robot: Robot, limits: JointLimits | None, quantity: str, k: int) -> tuple[float, float]:
-    """Return the limits of a rate; the robot's limits apply to accelerations and jerk that a file does not limit."""
+    """Return the limits of a rate. If a file does not limit accelerations or jerk, the robot's limits apply."""
     sources: Any = (robot,) if limits is None else (limits,) if quantity == "velocity" else (limits, robot)
     of_joint = [float(getattr(each, quantity)[k]) for each in sources]
     most = next((one for one in of_joint if np.isfinite(one)), np.inf)
@@ -192,7 +192,7 @@ def _worst(quantity: str, joint: str, ends: Ends, low: float, high: float) -> Us
     if np.isfinite(low) and np.isfinite(high):
         middle, half = (low + high) / 2, (high - low) / 2
         below, above = (_share(middle - least, half), _share(greatest - middle, half))
-    else:  # with only one limit, a value is within it or beyond it
+    else:  # with a single limit, a value is either within it or beyond it
         below, above = (np.inf if beyond > ROUNDED else 0.0 for beyond in (low - least, greatest - high))
     if below > above or (below == above == 0.0 and np.isfinite(low)):
         return Use(quantity, joint, least, low, below, when_least)
@@ -223,8 +223,8 @@ def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
         if degree < 2 or not np.isfinite(best) or bounds[n] <= best + ROUNDED * abs(best):
             break
         slopes = _powers(degree * np.diff(points[n]))
-        # Leading coefficients that are only rounding errors would hide the other roots; leaving them out hardly changes
-        # values.
+        # Leading coefficients that are only rounding errors would hide the other roots. Removing these coefficients
+        # hardly changes values.
         shares = np.real(Polynomial(slopes).trim(ROUNDED * np.abs(slopes).max()).roots())
         shares = shares[(shares > 0) & (shares < 1)]
         if len(shares):
@@ -235,6 +235,6 @@ def _greatest(points: Floats, times: Floats) -> tuple[float, float]:
 
 
 def _powers(points: Floats) -> Floats:
-    """Return the coefficients of the powers in a polynomial with given control points."""
+    """Return the power-basis coefficients of polynomials with given control points."""
     degree = len(points) - 1
     return np.array([comb(degree, k) * np.diff(points, k)[0] for k in range(degree + 1)])

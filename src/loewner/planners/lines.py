@@ -24,7 +24,7 @@ from loewner.robots.description.robot import chain_to
 from loewner.robots.proofs.contacts import deeper_than_ends
 from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
-# In messages, singular values of the Jacobian below SINGULAR [m, rad] indicate a singularity.
+# Messages report a singularity if a singular value of the Jacobian is below SINGULAR [m, rad].
 SINGULAR = 0.02
 
 
@@ -40,10 +40,10 @@ def straight(
     joints: str | Iterable[str] | None = None,
     keep: tuple[str | ArrayLike, ArrayLike, float] | None = None,
 ) -> Floats:
-    """Move a link along a straight line to a pose, provably straight and free of collisions at every instant.
+    """Move a link straight to a pose. The motion is proven straight and free of collisions at every instant.
 
     The line leads from the pose of the link at `start` to the pose `T`. The origin of the link moves along a straight
-    line, and the link turns at a constant rate about a fixed axis, by the shorter way around.
+    line, and the link turns at a constant rate about a fixed axis, in the shorter direction.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ def straight(
         Largest allowed deviations of the link from the pose at the same fraction of the line, in metres and radians, at
         least 1e-9 each.
     joints : str or iterable of str, optional
-        A group, or names of joints: only these joints move. Default: all joints that move the link.
+        A group, or names of joints. Only these joints move. Default: all joints that move the link.
     keep : (axis, direction, angle), optional
-        Additionally, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in
-        the world, for example to avoid spilling a cup. The angle is kept at every instant, even where the link deviates
-        from the line.
+        In addition, an axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in
+        the world, for example to avoid spilling a cup. The limit on the angle holds at every instant, including all
+        deviations from the line.
 
     Returns
     -------
@@ -70,9 +70,9 @@ def straight(
     Raises
     ------
     PlanningError
-        If the link cannot follow the line, because of a limit or a singularity; if a motion is not proven free; or if
-        the axis does not keep its direction. The message states at which fraction of the line the fault occurs, and
-        names joints or bodies.
+        If the link cannot follow the line because of a limit or a singularity, if a motion is not proven free, or if
+        the axis leaves its angle. The message names joints or bodies, and states at which fraction of the line the
+        fault occurs.
     InputError
         If an argument has the wrong shape or value, if the line turns the link by half a turn, or if a floating or ball
         joint would have to move.
@@ -81,12 +81,12 @@ def straight(
 
     See Also
     --------
-    Robot.reach : Finds a start. plan : Finds a path to any configuration that reaches a pose.
+    Robot.reach : Finds a start. plan : Finds a path to a configuration that reaches a pose.
 
     Notes
     -----
-    Each motion is divided until a bound on its deviation, derived in docs/certified.md, is within the tolerances. The
-    motions are proven by `CollisionChecker.certify_edges`, so `Scene.leave` and `Scene.reach` apply.
+    Each motion is divided until a bound on its deviation is within the tolerances; docs/certified.md derives this
+    bound. The motions are proven by `CollisionChecker.certify_edges`, so `Scene.leave` and `Scene.reach` apply.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def straight(
 def followed(
     robot: Robot, chain: Chain, q: Floats, line: Line, target: Floats, kept: KeptAxis | None = None
 ) -> tuple[Floats, Floats, tuple[str, str] | None]:
-    """Follow a line from the pose of its link to a target; rows of a path and collisions are not considered.
+    """Follow a line from the current pose of its link to a target, without regard to collisions or to rows of a path.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def followed(
     Q : ndarray, shape (k, dof)
         Configurations at these fractions.
     fault : (str, str) or None
-        The expectation and the fault, for a message, if the link cannot follow the line.
+        If the link cannot follow the line: the expectation and the fault, for an error message.
     """
     target = targets_of(target[None])[0]
     refuse_far(chain, target, q)
@@ -139,7 +139,7 @@ def followed(
 
 
 def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
-    """Refuse joints whose values do not change linearly, and a start outside the limits; see `with_start`."""
+    """Refuse joints whose values do not change linearly, and a start outside the limits (see `with_start`)."""
     refuse_unsteady(chain, link)
     ranges, values = chain.ranges.copy(), q[chain.columns]
     ends = [columns.LEAST, columns.MOST]
@@ -155,7 +155,7 @@ def _from_start(robot: Robot, chain: Chain, q: Floats, link: str) -> Chain:
 def _fault(
     robot: Robot, chain: Chain, outcome: int, rows: Floats, q: Floats, link: str, kept: KeptAxis | None
 ) -> tuple[str, str]:
-    """Explain why the kernel cannot follow a line: return the expectation, and the fault."""
+    """Explain why the kernel cannot follow a line: return the expectation and the fault."""
     if outcome == codes.HALF_TURN:
         raise InputError("T: expected a turn of less than half a turn, found half a turn; add a pose in between")
     if outcome == codes.TOO_FAR:
@@ -195,7 +195,7 @@ def _stopped(robot: Robot, chain: Chain, u: float, q: Floats, link: str) -> tupl
 
 
 def block_of(judge: Judge, u: Floats, Q: Floats) -> str:
-    """Explain which motion of a line is not free under the scene's contact rules; return "" if all are free."""
+    """Explain which motion of a line is not free under the scene's contact rules. Return "" if all motions are free."""
     left = np.flatnonzero(~judge.free(Q[:-1], Q[1:]))
     if len(left) == 0:
         return ""

@@ -1,8 +1,8 @@
-"""The ROS messages that contain trajectories: each field is used, ignored, mentioned in a warning, or refused.
+"""Read and write ROS messages with trajectories. Each field is used, ignored, mentioned in a warning, or refused.
 
-A message is read according to the types of its fields. A key that a message's type does not have is an error, so that
-nothing that affects a motion is overlooked: start states of joints, bodies that the robot carries, and motions of a
-base.
+A message is read according to the types of its fields. A key that a message's type does not have is an error. Thus,
+nothing that affects a motion is overlooked, such as the joints' start state, bodies that the robot carries, or the
+motion of a base.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from loewner._base._nodes import JsonNode, Node, some
 from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
-# Treatments of fields that are not messages of a type below, in this order: the code for the message's type reads the
-# field; the field has no effect on the joints and the bodies of a robot; a warning mentions the field unless it is
-# empty; the field is a message of any type that has no field with this last treatment.
+# Treatments of fields that are not messages of a type below. USED: the code for the message's type reads the field.
+# HARMLESS: the field has no effect on the joints and the bodies of a robot. TOLD: a warning mentions the field unless
+# it is empty. ANY: the field is a message of any type that has no ANY field itself.
 USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
 
 
@@ -29,8 +29,8 @@ def _harmless(*keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, HARMLESS)
 
 
-# Fields, keyed by type; except for harmless fields, they are in the order in which they take effect. For a field that
-# is a list, the type is the type of its entries.
+# The fields of each type. Fields that are not harmless are listed in the order in which they take effect. If a field is
+# a list, its type is the type of the entries.
 TYPES: dict[str, dict[str, str]] = {
     "JointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
     "MultiDOFJointTrajectory": {"header": HARMLESS, "joint_names": USED, "points": USED},
@@ -44,8 +44,8 @@ TYPES: dict[str, dict[str, str]] = {
     "PlanningScene": {
         "robot_state": "RobotState", "robot_model_name": USED, "link_padding": TOLD, "link_scale": TOLD,
         "world": "PlanningSceneWorld",
-        # Frames belong to bodies in the message's world, which is not read. The matrix lists fewer pairs than are
-        # checked here. The field is_diff refers to the world, since a state has an is_diff of its own.
+        # The frames belong to bodies in the message's world, which is not read. The matrix lists fewer pairs than are
+        # checked here. This is_diff refers to the world; a state has a separate is_diff.
         **_harmless("name", "fixed_frame_transforms", "allowed_collision_matrix", "object_colors", "is_diff"),
     },
     "DisplayTrajectory": {"model_id": USED, "trajectory_start": "RobotState", "trajectory": "RobotTrajectory"},
@@ -88,8 +88,8 @@ TYPES: dict[str, dict[str, str]] = {
 }  # fmt: skip
 WRAPPED = [name for name, fields in TYPES.items() if ANY not in fields.values()]
 
-# Keys of other types. Headers, efforts, the velocities, twists and wrenches of a state, the posture of a gripper and
-# the weight of a body have no effect on where the robot is.
+# Keys of other types. Some of them do not affect the robot's place: headers, efforts, the velocities, twists and
+# wrenches of a state, the posture of a gripper, and the weight of a body.
 RATES = ("positions", "velocities", "accelerations")
 POINT = (*RATES, "effort", "time_from_start")
 PLACED_POINT = ("transforms", "velocities", "accelerations", "time_from_start")
@@ -99,12 +99,12 @@ CARRIED = ("link_name", "object", "touch_links", "detach_posture", "weight")
 TREE = ("header", "origin", "octomap", "binary", "id", "resolution", "data")
 TOLERANCE = ("name", "joint_name", "component", "position", "velocity", "acceleration")
 
-# Seconds and their fractions in a duration, in ROS 2 and ROS 1. A number that is larger than a day in seconds is
+# Keys of a duration's seconds and nanoseconds, in ROS 2 and in ROS 1. A number of seconds that exceeds a day is
 # probably in nanoseconds.
 HALVES = (("sec", "nanosec"), ("secs", "nsecs"))
 DAY = 86400.0
 
-# The longest duration that a message can hold: its seconds are an integer of 32 bits.
+# The longest duration that a message can contain, because its seconds are a 32-bit integer.
 LONGEST = 2.0**31
 
 # The operation that removes a body, in moveit_msgs/CollisionObject.
@@ -121,9 +121,9 @@ class State:
     joints : dict
         Values by joint [rad or m].
     places : dict
-        For a joint with several values: position [m] and quaternion x, y, z, w, as one array of 7 numbers.
+        For each joint with several values, an array of 7 numbers: position [m] and quaternion x, y, z, w.
     carried : dict
-        For each body that the robot carries, by name: the link that carries the body, and links that the body may
+        For the name of each body that the robot carries: the link that carries the body, and links that the body may
         touch.
     sources : dict
         For each joint, the keys of the state or of the earlier trajectory from which its values come.
@@ -145,8 +145,9 @@ class Motion:
     times : ndarray, shape (n,)
         In seconds.
     rows : dict
-        Arrays of shape (n, joints) for "positions" and, if the points have them, "velocities" and "accelerations".
-        Alternatively, an array of shape (n, joints, 7) for "transforms": positions and quaternions x, y, z, w.
+        Arrays of shape (n, joints) for "positions" and, if the points contain such values, for "velocities" and
+        "accelerations". Alternatively, an array of shape (n, joints, 7) for "transforms": positions and quaternions x,
+        y, z, w.
     """
 
     names: list[str]
@@ -156,7 +157,7 @@ class Motion:
 
 @dataclass(eq=False)
 class Part:
-    """One trajectory in a message: for joints with one value, for joints with several values, or for both at once."""
+    """A trajectory in a message: for joints with one value, for joints with several values, or for both kinds."""
 
     place: str
     joints: Motion | None
@@ -176,7 +177,7 @@ class Message:
     around : list of str
         Names of the bodies in the message's world.
     bodies : set of str
-        Names of bodies that the robot carries at some time, or that are detached from it.
+        Names of bodies that the robot carries at some time, or that are detached from the robot.
     warnings : list of str
         Sentences for warnings about parts of the message that are not read.
     """
@@ -203,7 +204,7 @@ def read(root: Node) -> Message:
 
 
 def _type_of(node: Node, among: Collection[str]) -> str:
-    """Return the type that fits a message best, by its keys and the keys of its parts."""
+    """Return the type that fits a message best, judged by the keys of the message and its parts."""
     keys = set(node.mapping(None))
 
     def fits(name: str) -> tuple[bool, int, int]:
@@ -280,7 +281,7 @@ def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) 
 
 
 def _motion(node: Node | None, name: str) -> Motion | None:
-    """Read a message of the type `name`, JointTrajectory or MultiDOFJointTrajectory; None if it has no points."""
+    """Read a JointTrajectory or a MultiDOFJointTrajectory, as `name` states; return None if it has no points."""
     keys = {} if node is None else node.mapping(TYPES[name])
     if node is None or "points" not in keys or keys["points"].empty:
         return None
@@ -311,7 +312,7 @@ def _joint_motion(names: list[str], node: Node) -> Motion:
 
 
 def _plain_motion(names: list[str], points: Node) -> Motion | None:
-    """Read points of JSON with only the usual contents, which is several times as fast; otherwise return None."""
+    """Read JSON points that have only the usual contents, which is several times as fast; otherwise return None."""
     raw = points.raw
     if not isinstance(points, JsonNode) or not all(type(point) is dict and point.keys() <= set(POINT) for point in raw):
         return None
@@ -359,7 +360,7 @@ def _expect_once(names: list[str], node: Node) -> None:
 
 
 def _read_state(keys: dict[str, Node], state: State, found: Message) -> None:
-    """Apply a RobotState to a state; a RobotState that is not a difference replaces the carried bodies."""
+    """Apply a RobotState to a state. If the RobotState is not a difference, it replaces the carried bodies."""
     differs = "is_diff" in keys and not keys["is_diff"].empty and keys["is_diff"].flag()
     empty = True
     for key, state_fields, of_names, of_values, what in (
@@ -406,7 +407,7 @@ def _carry(node: Node, state: State, found: Message) -> None:
 
 
 def _operation(node: Node) -> int:
-    """Read a byte: a number, or the character that some programs write for it."""
+    """Read a byte: a number, or the character that some programs write instead."""
     try:
         code = node.number()
     except FileError:
@@ -459,7 +460,7 @@ def _seconds(node: Node) -> float:
 
 
 def _text_of_seconds(node: Node) -> float:
-    """Read a number of seconds in quotes; faults are reported as for a number without quotes."""
+    """Read a number of seconds in quotes. Faults are reported as for a number without quotes."""
     try:
         return _tables.number(node.text())
     except (ValueError, FileError):
@@ -467,7 +468,7 @@ def _text_of_seconds(node: Node) -> float:
 
 
 def _transform(node: Node) -> list[float]:
-    """Read a geometry_msgs/Transform: position, quaternion x, y, z, w; a missing or zero rotation is the identity."""
+    """Read the position and the quaternion x, y, z, w of a Transform. A missing or zero rotation is the identity."""
     keys = node.mapping(("translation", "rotation"))
     position, quaternion = _vector(keys, "translation", "xyz"), _vector(keys, "rotation", "xyzw")
     if not any(quaternion):
@@ -493,7 +494,7 @@ def _list(keys: dict[str, Node], key: str) -> list[Node]:
 
 
 def _listed(node: Node) -> list[Node]:
-    """Return the entries of a list; a message that is not in a list counts as the only entry."""
+    """Return the entries of a list. A message that is not in a list counts as the only entry."""
     return list(node.items()) if node.kind == "sequence" else [node]
 
 
@@ -508,7 +509,7 @@ def nanoseconds(times: Floats) -> Floats:
 
 
 def written(names: Collection[str], times: Floats, rows: dict[str, Floats], suffix: str) -> str:
-    """Write a JointTrajectory in JSON or YAML: times rounded to nanoseconds, and other numbers in full precision.
+    """Write a JointTrajectory in JSON or YAML. Times are rounded to nanoseconds; other numbers have full precision.
 
     Parameters
     ----------

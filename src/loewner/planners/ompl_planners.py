@@ -35,28 +35,28 @@ def space_information(
     certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
-    """Make an OMPL ``SpaceInformation`` for your own planners; the checker judges the states and motions.
+    """Make an OMPL ``SpaceInformation`` for your own planners. The checker judges all states and motions.
 
     Parameters
     ----------
     checker : CollisionChecker
-        The checker; changes to its scene take effect at the next checked state.
+        Changes to the checker's scene take effect at the next checked state.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints are the dimensions of the state space, in the order of the robot's
         `configuration_names`. Default: all joints.
     fixed : array_like, shape (dof,), optional
         Values that all remaining joints keep. Default: the values of `Robot.configuration`, all 0.
     certified : bool
-        Prove the motions that OMPL checks, as `plan` does; otherwise sample the motions in steps.
+        Prove the motions that OMPL checks, as `plan` does. Otherwise, sample the motions in steps.
     resolution : float
         As for `plan`, in the units of the joints.
 
     Returns
     -------
     ompl.base.SpaceInformation
-        An object over a ``RealVectorStateSpace`` whose dimensions have the names of the joints and are bounded by their
-        limits. A joint that turns without limits is bounded to half a turn on either side of its value in `fixed`. A
-        joint whose limits are equal does not move and is not a dimension.
+        An object with a ``RealVectorStateSpace``. Its dimensions have the names of the joints, and are bounded by the
+        joints' limits. A joint that turns without limits is restricted to half a turn on either side of its value in
+        `fixed`. A joint whose limits are equal does not move, and is not a dimension.
 
     Raises
     ------
@@ -81,13 +81,13 @@ def space_information(
 def find_path(space: Space, judge: Judge, q: Floats, goals: Floats, search: Search, seed: int) -> Floats:
     """Find a path from a configuration to one of the goals with OMPL.
 
-    The judge decides about the motions that OMPL checks, each in the scene's state at that time. Planners that divide
-    motions themselves use the resolution of the search.
+    The judge decides about the motions that OMPL checks, for the state of the scene at the time of each check. Planners
+    that divide motions themselves use the resolution of the search.
 
     Raises
     ------
     PlanningError
-        If no path was found in time, or the path does not pass a second check.
+        If no path was found in time, or the path fails a second check.
     """
     base, geometric, count = ompl("base"), ompl("geometric"), len(space.columns)
     with _quietly():
@@ -107,7 +107,7 @@ def find_path(space: Space, judge: Judge, q: Floats, goals: Floats, search: Sear
         planner.setProblemDefinition(problem)
         planner.setup()
         planner.solve(search.timeout)
-        # OMPL also counts a path that only comes near the goal as a solution; such a path is refused here.
+        # For OMPL, a path that only comes close to the goal is also a solution. Such a path is refused here.
         if not problem.hasExactSolution():
             raise PlanningError(
                 f"expected a path from start to goal, found none by {planner.getName()} within {search.timeout:g} s"
@@ -124,7 +124,7 @@ def find_path(space: Space, judge: Judge, q: Floats, goals: Floats, search: Sear
 
 
 def _information(space: Space, resolution: float, judge: Judge) -> Any:
-    """Convert the space to the form that OMPL takes."""
+    """Convert the space to the form that OMPL requires."""
     base = ompl("base")
     dimensions = base.RealVectorStateSpace(0)
     for column, lower, upper in zip(space.columns, space.lower, space.upper, strict=True):
@@ -137,7 +137,7 @@ def _information(space: Space, resolution: float, judge: Judge) -> Any:
 
     information.setStateValidityChecker(valid)
     information.setMotionValidator(_motion_validator()(information, space, judge))
-    # Planners that divide motions themselves take a share of the space's extent.
+    # Planners that divide motions themselves express the resolution as a share of the space's extent.
     information.setStateValidityCheckingResolution(
         float(np.clip(resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
     )
@@ -153,8 +153,8 @@ def _motion_validator() -> Any:
     class Motions(parent):  # type: ignore[misc]
         """Check whether motions are free in the scene's current state.
 
-        The validator keeps no reference to the ``SpaceInformation``, which refers to the validator: with references in
-        both directions, neither object would ever be freed.
+        The validator keeps no reference to the ``SpaceInformation``, because the ``SpaceInformation`` refers to the
+        validator. With references in both directions, neither object would ever be freed.
         """
 
         def __init__(self, information: Any, space: Space, judge: Judge) -> None:

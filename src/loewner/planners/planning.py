@@ -31,7 +31,7 @@ from loewner.robots.proofs.courses import straight
 from loewner.robots.proofs.proof_models import model_of
 from loewner.robots.proofs.written_proofs import proof_of
 
-# An axis to keep: a link, the axis, a direction and an angle [rad].
+# An axis to keep: the link, the axis, the direction and the angle [rad].
 Keep = tuple[str, str | ArrayLike, ArrayLike, float]
 
 # Options of `plan` that select another function.
@@ -121,7 +121,7 @@ def plan(
     seed: int = 0,
     **others: Unpack[Others],
 ) -> Floats | Plan | Trajectory | Drive:
-    """Find a path from start to goal that is proven free of collisions everywhere.
+    """Plan a path from start to goal, whose motions are all proven free of collisions.
 
     Parameters
     ----------
@@ -129,25 +129,25 @@ def plan(
         Bodies that are attached in the checker's scene move with the robot.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
-        One goal or several, or poses of a link; reaching any of them is enough. Goals that are obviously unreachable
-        (outside the limits, or colliding) are ignored, as long as one remains.
+        One goal or several, or poses of a link. The path leads to any one of them. Goals that are obviously unreachable
+        (outside the limits, or colliding) are ignored, as long as one goal remains.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep the values of `start`. Default: all
         joints.
     keep : (link, axis, direction, angle), optional
         An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in the world, for
-        example to avoid spilling a cup. The angle is proven for every motion of the path itself; joint errors are not
-        included. Only the compiled planner supports this option.
+        example to avoid spilling a cup. The angle is proven for every motion of the path, without joint errors. Only
+        the compiled planner supports this option.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which each value may deviate from the path. Every motion is proven for all such deviations,
-        including deviations of joints that do not move. With a joint error, contact at the ends is not allowed.
+        including deviations of joints that do not move. With a joint error, the path must not begin or end in contact.
     search : Search, optional
         The planner, its limits, and whether it proves its motions. Default: ``Search()``.
     seed : int
-        Equal seeds give equal paths, unless the timeout ends the search. With an OMPL planner, this argument sets
+        Equal seeds lead to equal paths, unless the timeout ends the search. With an OMPL planner, this argument sets
         OMPL's seed, which applies to the whole process. The seed has no effect on drives, whose search is not random.
     planner, certified, resolution, max_iterations, timeout, simplify : optional
-        Fields of `search`, given one by one; they replace the values in `search`.
+        Single fields of `search`. They replace the values in `search`.
     full, proof, improve_for, improve_iterations, weights, clearance : optional
         Improve the path as `plan_full` does; ``improve_for`` and ``improve_iterations`` are the `seconds` and the
         `iterations` of `Improve`. With ``full=True``, the result is a `Plan`.
@@ -159,9 +159,10 @@ def plan(
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next. A
-        joint that turns without limits takes the shorter way around, and may end whole turns away from the goal's value
-        (but not with OMPL's planners). If a `PoseGoal` has an approach, the path ends with the approach.
+        Configurations from `start` to a goal. Each joint value changes linearly from one configuration to the next. A
+        joint that turns without limits takes the shorter direction, and may end at a value that differs from the goal's
+        value by whole turns (but not with OMPL's planners). If a `PoseGoal` has an approach, the path ends with the
+        approach.
     Plan, Trajectory or Drive
         The result of `plan_full` with ``full=True``, of `plan_in_time` with `start_time`, or of `plan_drive` with
         `base`.
@@ -172,13 +173,14 @@ def plan(
         If a pose cannot be reached, or has no free approach or retreat. If the start or all goals are outside the
         limits, collide, do not keep the axis, or are not proven free within the joint error. If no short motion along
         the contact normal ends a contact at the start, or begins a contact at the goal. If no path was found within the
-        iterations or in time, or if OMPL's path fails the final check. The message gives the reason with its numbers:
-        for example, how near the link came to the pose, which joints are at fault, which pairs collide and how deep,
-        the largest error that is proven, or the motion that fails. If the search failed, the message states how far the
-        search got, and which pairs prevent motions between the trees.
+        iterations or in time, or if OMPL's path fails the final check. The message gives the reason with numbers: for
+        example, how close to the pose the link came, which joints are at fault, which pairs collide and how deeply, the
+        largest error that is proven, or the motion that fails. If the search failed, the message states how far it got,
+        and which pairs prevent motions between the trees.
     InputError
         If an argument has the wrong shape or value, or options exclude each other. If a goal moves a joint that is not
-        among `joints`, or one of `joints` is a planar, floating or ball joint, which has no limits to search within.
+        among `joints`. If one of `joints` is a planar, floating or ball joint, because such a joint has no limits for a
+        search.
     UnknownNameError
         If a group, a joint or the planner is unknown.
     MissingExtraError
@@ -186,17 +188,17 @@ def plan(
 
     See Also
     --------
-    plan_full : Improves the path. plan_in_time : Plans among bodies that move. plan_drive : Plans for mobile bases.
-        roadmap : For many queries in one scene. trajectory : Assigns times to the path.
+    plan_full : Improves the path. plan_in_time : Plans among moving bodies. plan_drive : Plans for mobile bases.
+    roadmap : For many queries in one scene. trajectory : Assigns times to the path.
 
     Notes
     -----
-    If `Scene.leave` allows a contact at the start, the first motion moves the touching body straight away from the
-    other body, along the contact normal. If `Scene.reach` allows a contact at the goal, the last motion moves the body
-    straight towards the other body.
+    If `Scene.leave` allows a contact at the start, the first motion moves one of the touching bodies straight away from
+    the other one, along the contact normal. If `Scene.reach` allows a contact at the goal, the last motion moves one
+    body straight towards the other one.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). No motion of a tree is longer than a twelfth of the diagonal of the box that the limits
+    Yershova et al. (ICRA 2005). The longest motion of a tree is a twelfth of the diagonal of the box that the limits
     form.
 
     Examples
@@ -262,7 +264,7 @@ def plan_full(
     seed: int = 0,
     proof: bool = False,
 ) -> Plan:
-    """Find a path and improve it, if requested; return it with its cost, a lower bound on the cost, and a proof.
+    """Plan a path and improve it, if requested. Return the path with its cost, a lower bound on costs, and a proof.
 
     Parameters
     ----------
@@ -271,7 +273,7 @@ def plan_full(
     improve : Improve, optional
         The time for improving the path, and the cost of motions. Default: do not improve the path.
     seed : int
-        Equal seeds and iterations give equal paths, unless time runs out first.
+        Equal seeds and iterations lead to equal paths, unless the time runs out first.
     proof : bool
         Also write a `Proof` of the path, as `CollisionChecker.certify_edges` does.
 
@@ -292,11 +294,11 @@ def plan_full(
 
     Notes
     -----
-    Each round of improvement searches the configurations through which a cheaper path may lead (Gammell et al., IROS
-    2014). The new path and the best path are then polished: corners are cut or moved, and single joints are
+    Each round of improvement searches among the configurations through which a cheaper path may lead (Gammell et al.,
+    IROS 2014). Next, the new path and the best path are polished: corners are cut or moved, and single joints are
     straightened. With a clearance, the cost of a motion is its weighted length times the mean of 1 + 9 (1 - d /
-    clearance)² along the motion. Here, d is the distance from the robot to the nearest body of the scene that is not
-    attached to the robot, or the clearance if that is smaller.
+    clearance)² along the motion. Here, d is the robot's distance from the nearest unattached body of the scene, or the
+    clearance if that is smaller.
 
     Examples
     --------
@@ -318,7 +320,7 @@ def _planned(
     task: Task, keep: Keep | None, joint_error: ArrayLike, search: Search, seed: int, improve: Improve | None,
     full: bool, proof: bool,
 ) -> Any:  # fmt: skip
-    """Find a path, and improve it as requested; return a `Plan` if `full` is set."""
+    """Plan a path, and improve it as requested. Return a `Plan` if `full` is set."""
     checker, robot, q = task.checker, task.checker.robot, task.start
     if proof and not search.certified:
         raise InputError("proof=True needs certified=True: sampled motions have no proof")
@@ -376,7 +378,7 @@ def shorten(
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
-    """Shorten a path by removing corners, or cutting them off, wherever the straight motion is free.
+    """Shorten a path: remove or cut off corners if the resulting straight motions are free.
 
     Parameters
     ----------
@@ -389,7 +391,7 @@ def shorten(
     max_iterations : int
         Number of cuts to try, each between two random points.
     seed : int
-        Equal seeds give equal paths.
+        Equal seeds lead to equal paths.
 
     Returns
     -------
@@ -399,7 +401,7 @@ def shorten(
     Raises
     ------
     PlanningError
-        If a motion of the path is not free; the message names the motion and the pair that collides.
+        If a motion of the path is not free. The message names the motion and the pair that collides.
     InputError
         If an argument has the wrong shape or value.
 

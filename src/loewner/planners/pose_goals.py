@@ -22,10 +22,11 @@ from loewner.robots.checking.verdicts import contacts, free
 from loewner.robots.description.reaching import MOST_SEEDS, checked_tolerance
 from loewner.robots.description.robot import chain_to
 
-# Largest number of configurations that are tried as goals: free ones first, and among these the nearest to the start.
+# Largest number of configurations that are tried as goals. Free configurations, and nearer ones, are tried first.
 MOST_GOALS = 16
 
-# A goal in contact that has lines counts as TOUCHING goals, since proofs under contact rules take twenty times as long.
+# A goal in contact with an approach or a retreat counts as TOUCHING goals, since proofs under contact rules take twenty
+# times as long.
 TOUCHING = 4
 
 # A displacement: the frame of its vector ("link" or "world"), and the vector, shape (3,) [m].
@@ -35,29 +36,31 @@ FRAMES = ("link", "world")
 
 @dataclass(frozen=True, eq=False)
 class PoseGoal:
-    """Poses of a link as the goal of `plan` or `Roadmap.path`: the link must reach one pose, in any configuration.
+    """Poses of a link as the goal of `plan` or `Roadmap.path`. The link must reach one of them, in any configuration.
 
     Parameters
     ----------
     link : str
     T : array_like, shape (..., 4, 4)
-        One pose T_world_link or several, in metres, such as candidates for a grasp; reaching any of them is enough.
+        One pose T_world_link in metres, or several poses, such as candidates for a grasp. The link must reach any one
+        of them.
     tolerance : array_like, shape (6,), optional
         Largest deviations from a pose, as for `Robot.reach`.
     seeds : int
-        As for `Robot.reach`: more seeds find more configurations.
+        As for `Robot.reach`. More seeds find more configurations.
     approach, retreat : float, array_like, shape (3,), or (str, array_like), optional
         Straight lines along which the link moves to the goal and away from it. Each line is given by the link's
         displacement in metres: a vector in the frame of the link at the goal, or ``("world", vector)`` in the frame of
-        the world. A number is a distance along the link's z axis: an approach moves forward along this axis, and a
-        retreat moves back. The link keeps its rotation.
+        the world. A number is a distance along the link's z axis. An approach moves forward along this axis, and a
+        retreat moves back. The link does not rotate.
 
     Notes
     -----
-    A configuration is accepted only if the link can follow its approach and its retreat, as by `straight`, and both are
-    proven free. The path of `plan` ends with the approach. With ``full=True``, ``Plan.approach`` is the row at which
-    the approach begins, and ``Plan.retreat`` is the path of the retreat. Lines are proven in the scene in which the
-    path is planned. After a change to the scene, such as `Scene.attach`, `retreat_path` proves the retreat again.
+    A configuration is accepted only if the link can follow the approach and the retreat, as for `straight`, and both
+    motions are proven free. The path of `plan` ends with the approach. With ``full=True``, ``Plan.approach`` is the row
+    at which the approach begins, and ``Plan.retreat`` is the path of the retreat. The lines are proven in the scene for
+    which the path is planned. After a change to the scene, for example by `Scene.attach`, call `retreat_path` to prove
+    the retreat again.
 
     Examples
     --------
@@ -100,13 +103,13 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal, sorted by distance from `start`, with free configurations first.
+        """Find configurations that reach the goal. Free configurations come first, then those nearer to `start`.
 
         Parameters
         ----------
         checker : CollisionChecker
         start : array_like, shape (dof,)
-            Joints that do not move the link, or are not among `joints`, keep these values.
+            Joints keep these values if they do not move the link, or are not among `joints`.
         joints : str or iterable of str, optional
             As for `plan`.
 
@@ -114,13 +117,14 @@ class PoseGoal:
         -------
         ndarray, shape (goals, dof)
             At most sixteen configurations. Colliding configurations are included only if fewer than sixteen
-            configurations are free. The goal's approach and retreat, if any, are free for all these configurations.
+            configurations are free. If the goal has an approach or a retreat, these motions are free for all
+            configurations.
 
         Raises
         ------
         PlanningError
-            If no pose is reached (the message states how near the link came), or if no configuration has a free
-            approach and retreat (the message counts the reasons).
+            If no pose is reached, or if no configuration has a free approach and retreat. The message states how close
+            to a pose the link came, or how often each reason applies.
         InputError, UnknownNameError
             As for `Robot.reach`.
         """
@@ -219,7 +223,7 @@ class PoseGoal:
         return rows
 
     def _joints(self, robot: Robot) -> list[str]:
-        """Return the joints that move the link, the default for plans; fingers, for example, then keep their values."""
+        """Return the joints that move the link, the default for plans. Other joints, say fingers, keep their values."""
         chain = chain_to(robot, self.link)
         moving = set(chain.columns[chain.moving].tolist())
         return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]
@@ -227,9 +231,9 @@ class PoseGoal:
     def _found(
         self, judge: Judge, begin: Floats, joints: str | Iterable[str] | None
     ) -> tuple[Floats, list[str], Approaches | None]:
-        """Find the configurations, and name each for messages by its pose and its number among the pose's solutions.
+        """Find the configurations. For messages, name each one by its pose and its number among the pose's solutions.
 
-        With an approach or a retreat, the returned configurations are the beginnings of the approaches.
+        With an approach or a retreat, return the configurations at which the approaches begin.
         """
         poses = np.asarray(self.T).reshape(-1, 4, 4)
         reached = judge.checker.robot.reach(
@@ -259,7 +263,7 @@ class PoseGoal:
     def _with_lines(
         self, judge: Judge, Q: Floats, good: Bools, joints: str | Iterable[str] | None
     ) -> tuple[list[int], Approaches]:
-        """Find the first configurations from which the approach and the retreat are free.
+        """Find the first configurations that have a free approach and a free retreat.
 
         Raises
         ------
@@ -306,9 +310,9 @@ class Approaches(NamedTuple):
     Attributes
     ----------
     judge : Judge
-        The judge that found the lines free.
+        The judge that accepted the lines.
     rows : list of ndarray, shape (k, dof)
-        For each goal, the approach; without an approach, a single configuration.
+        For each goal, the approach, or a single configuration if there is no approach.
     retreats : list of ndarray, shape (k, dof), or None
         For each goal, the retreat.
     """
@@ -318,20 +322,20 @@ class Approaches(NamedTuple):
     retreats: list[Floats | None]
 
     def joined(self, judge: Judge, path: Floats, goals: Floats) -> tuple[Floats, int | None, Floats | None]:
-        """Append an approach to a path; also return the row at which the approach begins, if any, and the retreat.
+        """Append an approach to a path. Also return the row at which the approach begins, if any, and the retreat.
 
         Parameters
         ----------
         judge : Judge
         path : ndarray, shape (k, dof)
         goals : ndarray, shape (goals, dof)
-            The goals; values of joints without limits are shifted by whole turns towards the end of the path.
+            The goals. Values of joints without limits are shifted by whole turns towards the end of the path.
 
         Raises
         ------
         PlanningError
-            If a line is not proven after these shifts, which are rounded, or not in the state of the scene to which
-            `judge` refers.
+            If a line is not proven after these shifts, which are rounded, or not in the state of the scene that `judge`
+            refers to.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
         approach, retreat = self.rows[k], self.retreats[k]
@@ -347,7 +351,7 @@ class Approaches(NamedTuple):
 
 
 def _displacement(given: Any, name: str, sign: float) -> Displacement:
-    """Check an approach or a retreat; a number, times `sign`, is a displacement along z."""
+    """Check an approach or a retreat. A number, multiplied by `sign`, is a displacement along z."""
     frame = "link"
     if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], str):
         frame, given = _validate.choice(given[0], f"{name}, frame", FRAMES), given[1]
@@ -369,7 +373,7 @@ def _along(
     ndarray, shape (k, dof)
         In the order of the motion.
     str, str
-        A heading for the message and the reason, if the motion is not free.
+        A heading for the message, and the reason, if the motion is not free.
     """
     robot, (frame, vector) = judge.checker.robot, given
     T = robot.forward_kinematics(q)[robot.link_names.index(link)].copy()

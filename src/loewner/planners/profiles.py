@@ -1,7 +1,7 @@
 """Compute speed profiles with limited jerk: phases of constant jerk from one speed to another over a distance.
 
-Speeds are shares of full speed, and distances are seconds at full speed. At both ends the acceleration is zero. No
-phase is shorter than a given duration: in shorter phases, rounding of positions would affect the jerk.
+Speeds are shares of full speed, and distances are seconds at full speed. At both ends, the acceleration is zero. No
+phase is shorter than a given duration, because in shorter phases, the rounding of positions would affect the jerk.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 from loewner._base._validate import Floats
 
-# Accuracy of computed speeds. Speeds are never larger than allowed, and the phases still cover the exact distance.
+# Accuracy of computed speeds, which are never larger than allowed. The phases cover the exact distance despite this
+# error.
 ACCURACY = 1e-13
 
-# Number of profiles that are kept: the choice of blends needs most of them repeatedly.
+# Number of profiles in the cache. While blends are chosen, most profiles are needed repeatedly.
 KEPT = 2**14
 
 
@@ -48,13 +49,13 @@ class Phase(NamedTuple):
 
 
 def duration(halves: Floats, speeds: Sequence[float], profiles: Iterable[Iterable[Phase]]) -> float:
-    """Add up the seconds of all phases and of all blends; a blend takes twice its half, at the speed of its corner."""
+    """Add up the seconds of all phases and blends. A blend takes twice its half, divided by the speed at its corner."""
     blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
     return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return two durations for a change of speed: of its two phases with jerk, and of the phase without jerk between.
+    """Return two durations of a change of speed: of each phase with jerk, and of the phase without jerk between them.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """
@@ -75,7 +76,7 @@ def ramp_way(low: float, high: float, limits: Limits) -> float:
 
 @lru_cache(KEPT)
 def reached(length: float, limits: Limits, speed: float) -> float:
-    """Return the highest speed, up to 1, that a change from `speed` reaches within a distance."""
+    """Return the highest speed, up to 1, that can be reached from `speed` within a distance."""
     return _largest(lambda high: ramp_way(speed, high, limits), speed, 1.0, length)
 
 
@@ -89,8 +90,8 @@ def turned(half: float, limits: Limits) -> float:
 def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Phase, ...]:
     """Return the fastest phases between two speeds on a straight line.
 
-    Each speed must be within reach of the other one (`reached`), and at either speed, the length must take at least the
-    least duration of a phase.
+    Each speed must be reachable from the other one (`reached`). At either speed, the length must take at least the
+    shortest duration of a phase.
     """
 
     def needed(peak: float) -> float:
@@ -98,7 +99,7 @@ def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Ph
 
     peak = _largest(needed, max(first, last), 1.0, length)
     ramps, level, slower = needed(peak), length - needed(peak), 1.0
-    if ramps > 0 and level < limits.least * peak:  # the ramps are stretched to take the whole length
+    if ramps > 0 and level < limits.least * peak:  # the ramps are stretched to cover the whole length
         level, slower = 0.0, length / ramps
     cruise = [Phase(level / peak, level, peak, 0.0)] if level > 0 else []
     up, down = _ramped(first, peak, slower, limits), _ramped(peak, last, slower, limits)
@@ -119,7 +120,7 @@ def _ramped(first: float, last: float, slower: float, limits: Limits) -> list[Ph
 
 
 def _largest(needed: Callable[[float], float], low: float, high: float, length: float) -> float:
-    """Return the largest speed from `low` to `high`, up to `ACCURACY`, that needs no more than a length."""
+    """Return the largest speed between `low` and `high`, up to `ACCURACY`, for which a length suffices."""
     if length <= 0 or low >= high:
         return low
     if needed(high) <= length:

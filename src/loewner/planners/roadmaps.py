@@ -1,8 +1,8 @@
-"""Roadmaps: networks of motions proven free, built once to answer many queries in one scene.
+"""Define `Roadmap`, a network of proven free motions that is built once, for many queries in one scene.
 
-A roadmap keeps every motion that it tried, not only the free ones; when the scene changes, all motions are proven again
-in one batch. In addition, each path is proven as a whole when it is found. The second proof is necessary because shifts
-by whole turns are rounded, the scene may have changed, and a file's claims are not a proof.
+A roadmap stores all motions that were tried, not only the free ones. When the scene changes, all motions are proven
+again in one batch. In addition, the result of each query is proven as a whole. The second proof is necessary because
+shifts by whole turns are rounded, the scene may have changed, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -31,29 +31,30 @@ from loewner.planners.space import NAMED, Space, Task
 from loewner.robots import CollisionChecker
 from loewner.robots.checker import prepared_of
 
-# Number of motions that are proven at a time, and of nodes whose neighbours are sought; an interrupt is noticed in
-# between.
+# Number of motions that are proven at a time, and number of nodes whose neighbours are sought at a time. Interrupts are
+# noticed in between.
 AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
 
-# Limit on the motions that a query tries between start, goals and their nearest nodes.
+# Largest number of motions that a query tries between the start, the goals and their nearest nodes.
 MOST_TRIED = 4096
 
-# Number of configurations up to which one thread seeks all neighbours.
+# Up to this number of configurations, a single thread seeks all neighbours.
 ALONE = 64
 
-# Most bytes per motion while a roadmap is made: its ends, its length, its entries in the graph.
+# Largest number of bytes per motion while a roadmap is made: the motion's ends, its length, and its entries in the
+# graph.
 BYTES = 96
 
 
 class _Links(NamedTuple):
-    """Free motions between a query's ends and the nodes; the start has the index after the last node.
+    """Free motions between a query's ends and the nodes. The index of the start follows the index of the last node.
 
     Attributes
     ----------
     nodes, lengths : ndarray, shape (s,)
-        Nodes and lengths of motions from the start.
+        The nodes to which motions from the start lead, and the lengths of these motions.
     goals, from_nodes, to_lengths : ndarray, shape (g,)
-        For each motion to a goal: the goal, the node where the motion starts, and the length of the motion.
+        For each motion to a goal: the goal, the node at which the motion begins, and the length of the motion.
     """
 
     nodes: Ints
@@ -76,7 +77,7 @@ class _Graph:
     version : int
         Version of the scene.
     proven : bool
-        Whether this process proved the motions; if not, a file claims that they are free.
+        Whether this process proved the motions. If not, a file claims that they are free.
     free : ndarray of bool, shape (motions,)
     matrix : csr_array, shape (nodes, nodes)
         Lengths of the free motions, in both directions.
@@ -93,7 +94,7 @@ class _Graph:
     def shortest(self, links: _Links) -> tuple[Ints, int] | None:
         """Find the shortest path from the start to any goal, if there is one.
 
-        Return its nodes before the goal, and the index of the link to the goal.
+        Return the nodes of this path before the goal, and the index of the link to the goal.
         """
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
@@ -105,7 +106,7 @@ class _Graph:
             indices = np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)])
             ends = np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype)
             with_start = csr_array((lengths, indices, ends), shape=(count + 1, count + 1))
-            # If there is a straight motion to a goal, only shorter paths are sought.
+            # If a straight motion to a goal is free, only shorter paths are sought.
             straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
             far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
         totals = far[links.from_nodes] + links.to_lengths
@@ -128,7 +129,7 @@ class _Neighbours:
     count : int
         Number of nodes.
     tree : KDTree
-        Tree over the values of the moving joints; the values of joints that turn without limits are periodic.
+        Tree over the values of the moving joints. The values of joints that turn without limits are periodic.
     """
 
     space: Space
@@ -144,11 +145,11 @@ class _Neighbours:
         return cls(space, len(nodes), KDTree(cls._wrapped(space, nodes), boxsize=box))
 
     def of_all(self, Q: Floats, many: int) -> Ints:
-        """Find the given number of nodes nearest to each configuration, nearest first, shape (N, many)."""
+        """Find the `many` nodes nearest to each configuration, sorted by distance, shape (N, many)."""
         return self._nearest(self._wrapped(self.space, Q), many)
 
     def pairs(self, neighbours: int) -> Ints:
-        """List, in order, all pairs of nodes where one node is among the other node's nearest, shape (m, 2)."""
+        """Return a sorted list of all pairs of nodes where one node is among the other's nearest, shape (m, 2)."""
         each = min(neighbours, self.count - 1)
         if each == 0:
             return np.empty((0, 2), dtype=np.int64)
@@ -185,14 +186,14 @@ class _Neighbours:
 
 @guarded
 class Roadmap(KeepsReadOnly):
-    """A network of configurations and of proven free motions between them, for many queries; made by `roadmap`.
+    """A network of configurations and proven free motions between them, for many queries. `roadmap` makes it.
 
     Notes
     -----
-    A roadmap belongs to one checker. After a change to the scene, the next query first proves all motions again in one
-    batch, including the motions that were not free before. `len` returns the number of nodes.
+    A roadmap belongs to a single checker. After a change to the scene, the next query first proves all motions again in
+    one batch, including motions that were not free before. `len` returns the number of nodes.
 
-    Any thread may use a roadmap. An interrupted call leaves the roadmap unchanged.
+    Roadmaps are thread-safe. An interrupted call leaves the roadmap unchanged.
 
     Examples
     --------
@@ -231,7 +232,7 @@ class Roadmap(KeepsReadOnly):
 
     @property
     def checker(self) -> CollisionChecker:
-        """The checker to which the roadmap belongs; a different checker needs a roadmap of its own."""
+        """The checker to which the roadmap belongs. A different checker needs a different roadmap."""
         return self._space.checker
 
     @property
@@ -241,7 +242,7 @@ class Roadmap(KeepsReadOnly):
 
     @property
     def nodes(self) -> Floats:
-        """The configurations, shape (n, dof), read-only; all were free when the roadmap was made."""
+        """The configurations, shape (n, dof), read-only. All of them were free when the roadmap was made."""
         return self._nodes
 
     @property
@@ -251,44 +252,44 @@ class Roadmap(KeepsReadOnly):
 
     @property
     def components(self) -> Ints:
-        """Number of nodes in each connected component, largest first; nodes without free motions are not counted."""
+        """Number of nodes in each connected component, largest first. Nodes without free motions are not counted."""
         sizes = np.bincount(self._now().labels)
         return np.sort(sizes[sizes > 1])[::-1]
 
     def path(
         self, start: ArrayLike, goal: ArrayLike | PoseGoal, *, joint_error: ArrayLike = 0.0, simplify: bool = True
     ) -> Floats:
-        """Find a path from start to goal that is proven free of collisions everywhere.
+        """Find a path from start to goal, whose motions are all proven free of collisions.
 
         Parameters
         ----------
         start : array_like, shape (dof,)
         goal : array_like, shape (dof,) or (goals, dof), or PoseGoal
-            One goal or several, or poses of a link; with several goals, the path leads to the goal that is nearest
-            along the roadmap. Goals that are outside the limits or collide are ignored, as long as one remains.
+            One goal or several, or poses of a link. The path leads to the goal that is nearest along the roadmap. Goals
+            that are outside the limits or collide are ignored, as long as one goal remains.
         joint_error : float or array_like, shape (dof,)
-            As for `plan`. Motions of the roadmap are proven for this error when a path needs them.
+            As for `plan`. A motion of the roadmap is proven for this error when a path needs the motion.
         simplify : bool
             Shorten the path, as `shorten` does.
 
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations from `start` to a goal; each joint value changes linearly from one configuration to the next.
-            A joint that turns without limits takes the shorter way around between nodes, and may end whole turns away
-            from the goal's value.
+            Configurations from `start` to a goal. Each joint value changes linearly from one configuration to the next.
+            Between nodes, a joint that turns without limits takes the shorter direction, and may end at a value that
+            differs from the goal's value by whole turns.
 
         Raises
         ------
         PlanningError
-            If the start or all goals are outside the limits or collide; the message names joints, or pairs and depths.
-            If no motion between the start or a goal and nearby nodes is free, or no component of the roadmap connects
+            If the start or all goals are outside the limits or collide. The message names joints, or pairs and depths.
+            If no motion between the start or a goal and nearby nodes is free. If no component of the roadmap connects
             the start to a goal.
         InputError
-            If an argument has the wrong shape or value, or if the start or a goal differs from the nodes in a joint
-            that does not move.
+            If an argument has the wrong shape or value. If the start or a goal differs from the nodes in a joint that
+            does not move.
         UnknownNameError
-            If the scene now names a link that the robot does not have.
+            If the scene, since its last change, names a link that the robot does not have.
 
         Examples
         --------
@@ -302,7 +303,7 @@ class Roadmap(KeepsReadOnly):
         judge = Judge.of(self.checker, 0.0, joint_error)
         task = Task.of(self.checker, start, goal, self.joint_names)
         q, (begins, names, approaches) = task.start, task.goals(judge)
-        # If a joint has no limits, start and goals determine the range of its values.
+        # If a joint has no limits, the start and the goals determine the range of its values.
         space = Space.of_start(self.checker, self.joint_names, q, begins)
         if not space.outside(q):  # violations of limits are reported first
             self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
@@ -344,8 +345,8 @@ class Roadmap(KeepsReadOnly):
             "free": graph.free.astype(np.int64),
             "settings": np.array([self._neighbours, self._seed]),
             "joints": np.array(self.joint_names),
-            # If another thread has changed the scene meanwhile, the file belongs to no scene, and after loading it, all
-            # motions are proven again.
+            # If another thread has changed the scene in the meantime, the file has no fingerprint. After loading such a
+            # file, all motions are proven again.
             "fingerprint": np.array(ready.fingerprint() if ready.version == graph.version else ""),
         }
         _archives.write(path, ROADMAPS, arrays)
@@ -364,9 +365,9 @@ class Roadmap(KeepsReadOnly):
         -------
         Roadmap
             The roadmap, which belongs to `checker`. A verdict depends on the robot's joints and bodies, the checked
-            pairs, margins, attachments, and the poses of the scene's bodies. If all this is unchanged since the roadmap
-            was saved, the motions marked as free in the file count as free in the search for a path. Otherwise, the
-            first query proves all motions again. The path itself is proven in either case.
+            pairs, margins, attachments, and the poses of the scene's bodies. If these are unchanged since the roadmap
+            was saved, the search for a path relies on the motions that are marked as free in the file. Otherwise, the
+            first query proves all motions again. The path itself is always proven.
 
         Raises
         ------
@@ -387,7 +388,7 @@ class Roadmap(KeepsReadOnly):
         >>> Roadmap.load("arm.npz", CollisionChecker(robot.placed(T)))
         Roadmap(joints rail, elbow: 100 nodes, 1093 motions, to be proven for the scene as it is now)
         """
-        ready = prepared_of(checked_checker(checker))  # faults of the scene are not reported as faults of the file
+        ready = prepared_of(checked_checker(checker))  # errors in the scene must not be reported as errors in the file
 
         def made(told: dict[str, Any]) -> Roadmap:
             space, fingerprint = _checked(told, checker)
@@ -410,7 +411,7 @@ class Roadmap(KeepsReadOnly):
     @guarded
     def _proven(self) -> _Graph:
         """Prove all motions again and return the graph."""
-        # Later changes are noticed by the next query.
+        # The next query notices later changes.
         judge = Judge.of(self.checker, 0.0)
         sound = self._space.free_among(self._nodes)
         free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
@@ -435,7 +436,7 @@ class Roadmap(KeepsReadOnly):
     # -- queries --------------------------------------------------------------------------------
 
     def _found(self, judge: Judge, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
-        """Find the shortest path over free motions and prove it as a whole; None if the graph has changed."""
+        """Find the shortest path over free motions, and prove it as a whole. Return None if the graph has changed."""
         full_graph = graph = self._now()
         links = self._links(graph, judge.now(), q, goals)
         while (way := graph.shortest(links)) is not None:
@@ -458,7 +459,7 @@ class Roadmap(KeepsReadOnly):
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Find enough free motions to nearest nodes to connect the start to a goal.
+        """Find free motions to the nearest nodes until they connect the start to a goal.
 
         Raises
         ------
@@ -471,7 +472,7 @@ class Roadmap(KeepsReadOnly):
         if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
             return links  # no path is shorter than a straight motion to the nearest goal
         tried, last = 0, min(self._neighbours, most)
-        labels = np.append(graph.labels, -1)  # -1 is the start, where straight motions to goals begin
+        labels = np.append(graph.labels, -1)  # -1 is the start, at which straight motions to goals begin
         while True:
             links = links.joined(self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:]))
             if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
@@ -487,7 +488,7 @@ class Roadmap(KeepsReadOnly):
         return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])
 
     def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints) -> _Links:
-        """Find the free motions from the start to nodes (row 0) and from nodes to goals (one row per goal)."""
+        """Find free motions from the start to nodes (row 0 of `near`), and from nodes to goals (one row per goal)."""
         from_start, to_goals = near[0], near[1:].ravel()
         numbers, s = np.repeat(np.arange(len(goals)), near.shape[1]), len(from_start)
         a = np.concatenate([np.broadcast_to(q, (s, len(q))), self._nodes[to_goals]])
@@ -500,7 +501,7 @@ class Roadmap(KeepsReadOnly):
         return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
 
     def _without(self, graph: _Graph, links: _Links, nodes: Ints, last: int, unfree: Ints) -> tuple[_Graph, _Links]:
-        """Remove motions of a path, given by their indices along it, from the graph and the links of this query."""
+        """Remove motions of a path, given by indices along the path, from the graph and from the query's links."""
         from_start, to_goal = np.ones(len(links.nodes), dtype=bool), np.ones(len(links.goals), dtype=bool)
         free = graph.free.copy()
         keys = self._edges @ [len(self), 1]
@@ -533,27 +534,27 @@ def roadmap(
     neighbours: int | None = None,
     seed: int = 0,
 ) -> Roadmap:
-    """Make a roadmap for many queries: free configurations, and motions proven free between neighbours.
+    """Make a roadmap for many queries, of free configurations and proven free motions between neighbours.
 
     Parameters
     ----------
     checker : CollisionChecker
         Bodies that are attached in the checker's scene move with the robot. If bodies come and go, make the roadmap
-        while the scene has few bodies: configurations that collide when the roadmap is made are excluded permanently.
+        while the scene contains few bodies, because configurations that collide at that time are excluded permanently.
     samples : int or array_like, shape (n, dof)
         The number of configurations to sample uniformly within the limits, or the configurations themselves. All free
         configurations become nodes.
     joints : str or iterable of str, optional
         A group, or names of joints. These joints move; all remaining joints keep their values. Default: all joints.
     fixed : array_like, shape (dof,), optional
-        Values that the remaining joints keep. Default: the values of the first given configuration or, without given
-        configurations, of `Robot.configuration`, which are all 0. The values of a joint that turns without limits are
-        sampled within half a turn of its value in `fixed`.
+        Values that the remaining joints keep. By default, these joints keep the values of the first configuration in
+        `samples` or, if `samples` is a number, of `Robot.configuration`, which are all 0. The values of a joint that
+        turns without limits are sampled within half a turn of its value in `fixed`.
     neighbours : int, optional
-        Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
-        and d joints, as in PRM*, so that the paths converge to shortest paths as the number of samples grows.
+        Number of nearest neighbours to which each node is connected, if possible. Default: e (1 + 1/d) ln n for n nodes
+        and d joints, as in PRM*. With this default, paths converge to shortest paths as the number of samples grows.
     seed : int
-        Equal seeds give equal roadmaps and equal paths.
+        Equal seeds lead to equal roadmaps and equal paths.
 
     Returns
     -------
@@ -566,7 +567,7 @@ def roadmap(
     InputError
         If an argument has the wrong shape or value. If a given configuration is outside the limits, or differs from the
         other configurations in a joint that is not among `joints`. If one of `joints` is a planar, floating or ball
-        joint, which has no limits to sample within.
+        joint, because such a joint has no limits for sampling.
     UnknownNameError
         If the robot has no such group or joint.
 
@@ -626,7 +627,7 @@ def _given(
 
 
 def _count(samples: Any) -> int | None:
-    """Return how many samples to draw; None if configurations seem to be given instead."""
+    """Return the number of samples to draw, or None if configurations seem to be given instead."""
     try:
         whole = not isinstance(samples, bool) and operator.index(samples) is not None
     except Exception:  # not an integer, or an error from the caller's object
@@ -644,7 +645,7 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:
-    """Explain, for a message, why the start and the goals are not connected."""
+    """For an error message, explain why the start and the goals are not connected."""
     total = len(graph.labels)
     for name, linked_nodes in (("start", links.nodes), ("goal", links.from_nodes)):
         if len(linked_nodes) == 0:

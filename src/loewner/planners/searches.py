@@ -1,4 +1,4 @@
-"""Define `Search`, one record of search options for all functions that plan; find OMPL's planners by name."""
+"""Define `Search`, the search options of all functions that plan, and find OMPL's planners by name."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 from loewner._base import _validate
 from loewner.errors import InputError, imported
 
-# More iterations than any search makes.
+# A number of iterations that no search reaches.
 UNLIMITED = 2**40
 
-# Kinds of plans that have their own searches, keyed by the option that selects them.
+# Options that select plans with a different search, and the reason why options of other searches do not apply.
 OF_ITS_OWN = {"start_time": "plans in time are proven and shortened", "base": "drives are proven"}
 
 
@@ -26,16 +26,16 @@ class Search:
         The name of a class of ``ompl.geometric``, such as "BITstar" or "PRM". Alternatively, a function that takes the
         ``SpaceInformation`` and returns an OMPL planner that you have set up. Default: the compiled RRT-Connect.
     certified : bool
-        Prove every motion free with `CollisionChecker.certify_edges`; otherwise sample motions in steps.
+        Prove every motion free with `CollisionChecker.certify_edges`. Otherwise, sample motions in steps.
     resolution : float
-        For motions that are not proven, the largest Euclidean distance between two successive checked configurations,
-        in the units of the joints. OMPL planners that divide motions themselves always use this resolution.
+        Largest Euclidean distance between two successive samples of a motion that is not proven, in the units of the
+        joints. OMPL planners that divide motions themselves always use this resolution.
     max_iterations : int, optional
-        Number of random configurations that the compiled planner tries before it gives up; for a drive, the number of
-        poses from which the search continues. Default: no limit, so that only the timeout ends the search.
+        Largest number of random configurations that the compiled planner tries or, for a drive, largest number of poses
+        from which the search continues. Default: no limit. The search then ends at the timeout.
     timeout : float
-        Time limit of the search, in seconds; simplifying takes additional time. OMPL planners that seek a shortest path
-        always use all of this time.
+        Time limit of the search, in seconds, to which the time for simplifying is added. OMPL planners that seek a
+        shortest path always use all of this time.
     simplify : bool
         Shorten the path. Paths of OMPL planners are also smoothed by OMPL's path simplifier.
 
@@ -79,7 +79,7 @@ class Search:
 
     @property
     def _step(self) -> float:
-        """Distance between samples of a motion; 0 if motions are proven."""
+        """Distance between samples of a motion, or 0 if motions are proven."""
         return 0.0 if self.certified else self.resolution
 
     @property
@@ -88,7 +88,7 @@ class Search:
         return UNLIMITED if self.max_iterations is None else self.max_iterations
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
-        """If an option selects another kind of plan, refuse options that apply only to paths."""
+        """Refuse options that apply only to paths, if an option selects another kind of plan."""
         refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
         if refused:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Define the space that planners search: the moving joints and their limits; check starts and goals."""
+"""Define the space that planners search, of the moving joints and their limits, and check starts and goals."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from loewner.robots.proofs import tracking
 from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 from loewner.scenes.scene import Contact
 
-# A deviation below A_HAIR, in the units of the joints, is probably due to rounding.
+# A deviation below A_HAIR, in the units of the joints, is probably a rounding error.
 A_HAIR = 1e-4
 
-# Limit on the configurations and pairs that a message names.
+# Largest number of configurations and pairs that a message names.
 NAMED = 5
 
-# The largest joint error that is tried for a message [rad or m]: if nothing is near, larger errors would only overflow.
+# Largest joint error that is tried for an error message [rad or m]. If no obstacle is near, larger errors would only
+# overflow.
 MOST_ERROR = 1e9
 
 
@@ -44,7 +45,8 @@ class Space:
     still : ndarray, shape (dof,)
         A configuration with the values of the joints that do not move.
     lower, upper : ndarray, shape (joints,)
-        Range to search: the limits or, for joints without limits, up to half a turn beyond the start and the goals.
+        Range to search: the limits. For joints without limits, the range extends half a turn beyond the start and the
+        goals.
     turning : ndarray of bool, shape (joints,)
         Whether a joint has no limits and returns to the same place after a whole turn.
     """
@@ -58,7 +60,7 @@ class Space:
 
     @classmethod
     def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
-        """Make the space of the given joints; without limits, a joint may go half a turn beyond start and goals."""
+        """Make the space of the given joints. A joint without limits may go half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
@@ -88,7 +90,7 @@ class Space:
         return Q
 
     def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Shift the unlimited turning joints of Q1 by whole turns, so that they are as near to Q0 as possible."""
+        """Shift the unlimited turning joints of Q1 by whole turns, as near to the values of Q0 as possible."""
         if not self.turning.any():
             return Q1
         at = self.columns[self.turning]
@@ -97,9 +99,9 @@ class Space:
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
     def checked_goals(self, q: Floats, goals: Floats, judge: Judge, names: list[str]) -> Floats:
-        """Check the start, and return the goals that a quick check does not exclude; names of goals are for messages.
+        """Check the start, and return the goals that a quick check does not exclude. Messages contain the goals' names.
 
-        Limits are checked first, since any other message would be misleading for values in degrees.
+        Limits are checked first, because for values in degrees, any other message would be misleading.
 
         Raises
         ------
@@ -125,7 +127,8 @@ class Space:
         good: Floats = goals[inside][free[1:]]
         if len(good):
             return good
-        # Only the goals that the message names are examined closely: there may be thousands.
+        # Only the goals that the message names are examined closely, because the number of goals may be in the
+        # thousands.
         named = [fault or self._fault(goal, judge) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
         raise _no_goal(named + faults[NAMED:], names)
 
@@ -134,7 +137,7 @@ class Space:
         return np.asarray(~beyond(Q[:, self.columns], self.lower, self.upper).any(axis=1))
 
     def outside(self, q: Floats) -> str:
-        """Describe the moving joints that are outside their limits; "" if there are none."""
+        """Describe the moving joints that are outside their limits; return "" if there are none."""
         values = q[self.columns]
         outside = np.flatnonzero(beyond(values, self.lower, self.upper))
         texts = (
@@ -145,11 +148,11 @@ class Space:
         return some(texts, NAMED)
 
     def free(self, q: Floats) -> bool:
-        """Return whether a configuration is proven free; an unsettled configuration counts as not free."""
+        """Return whether a configuration is proven free. An unsettled configuration counts as not free."""
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
-        """Return which configurations of a batch are proven free; unsettled configurations count as not free."""
+        """Return which configurations of a batch are proven free. Unsettled configurations count as not free."""
         return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels do not accept views
 
     def name(self, column: int) -> str:
@@ -159,7 +162,7 @@ class Space:
     def check_still(self, Q: Floats, what: str, kept: str, joints: str) -> None:
         """Refuse configurations that differ from `still` in joints that do not move.
 
-        The strings are for messages; `what` may have a placeholder for the number of a configuration.
+        The strings are parts of messages. `what` may have a placeholder for the number of a configuration.
         """
         differs = self.still != Q
         differs[:, self.columns] = False
@@ -187,7 +190,7 @@ class Space:
         )
 
     def _cure(self, q: Floats) -> str:
-        """Explain, for a message, how to allow a contact of a link and a body, and name their margin; "" if none."""
+        """For a message, explain how to allow a contact of a link and a body, and name their margin; or return ""."""
         scene, links = self.checker.scene, self.checker.robot.link_names
         for contact in verdicts.contacts(prepared_of(self.checker), q)[0]:
             a, b = contact.name_a, contact.name_b
@@ -200,7 +203,7 @@ class Space:
     def _too_near(self, q: Floats, judge: Judge, error: Floats) -> str:
         """Explain why a free configuration is not proven free within the joint error.
 
-        The largest error and the pair depend on the proportions of the given errors, and not on their size.
+        The largest error and the pair depend on the proportions of the given errors, but not on their size.
         """
         ready, at, size = judge.ready, q[None], error.max()
         weights = error / size
@@ -211,7 +214,7 @@ class Space:
         pair = prove_by_rules(ready, at, at, ProofOptions(TOLERANCE, unproven * weights)).pairs
         nearest = distances.nearest(ready.only(pair), q, True, False)
         a, b = nearest.names
-        stated = 0.995 * largest  # not above the largest when rounded to three digits
+        stated = 0.995 * largest  # does not exceed the largest error after rounding to three digits
         allowed = f"{stated:.3g}" if (error == error[0]).all() else f"{stated / size:.3g} times the given ones"
         return (
             f"one that is proven free only within joint errors of {allowed}: {a} and {b} are "
@@ -225,7 +228,7 @@ def touching(contacts: Sequence[Contact]) -> str:
 
 
 def _depth(distance: float) -> str:
-    """Describe the signed distance of two bodies in contact, or nearer than their margin."""
+    """Describe the signed distance of two bodies that are in contact, or closer than their margin."""
     size = f"{1e3 * abs(distance):.3g} mm"
     return f"{size} deep" if distance <= 0 else f"within their margin, {size} apart"
 
@@ -240,7 +243,7 @@ class Task:
     start : ndarray, shape (dof,)
     goal : ndarray, shape (goals, dof), or PoseGoal
     joints : str or list of str, optional
-        The joints that move; for a `PoseGoal`, by default the joints that move its link.
+        The joints that move. For a `PoseGoal`, the default is the joints that move its link.
     """
 
     checker: CollisionChecker
@@ -263,7 +266,7 @@ class Task:
     def goals(self, judge: Judge) -> tuple[Floats, list[str], Approaches | None]:
         """Return the goals, shape (goals, dof), their names, and the approaches to them.
 
-        If a pose has an approach or a retreat, the judge checks these lines, and the goals are the configurations at
+        If a pose has an approach or a retreat, the judge checks these lines. The goals are then the configurations at
         which the approaches begin.
         """
         if isinstance(self.goal, PoseGoal):
@@ -288,7 +291,7 @@ def _checked_goals(robot: Robot, goal: ArrayLike) -> Floats:
 
 
 def _by_a_hair(excess: float) -> str:
-    """Make an addition for a message in which two numbers may look equal."""
+    """Return an addition to a message in which two numbers may look equal."""
     return f" (by {excess:.1g}: clip or copy it)" if excess < A_HAIR else ""
 
 

@@ -1,7 +1,7 @@
-"""Connect poses (x, y, heading) by ways that a base can drive: Reeds-Shepp paths, Dubins paths, or turns in place.
+"""Connect poses (x, y, heading) by ways that a base can drive: Reeds-Shepp paths, Dubins paths, or with turns in place.
 
-A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. Both have
-constant rates, so that a motion is an arc of a circle, a straight line, or a turn in place.
+A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. The base drives
+and turns at constant rates, so a motion is an arc of a circle, a straight line, or a turn in place.
 
 References
 ----------
@@ -25,10 +25,11 @@ HALF, TURN = math.pi, 2.0 * math.pi
 # Angles and lengths up to NO_TURN [rad, radii] count as 0; otherwise, a forward arc could become a whole circle.
 NO_TURN = 1e-9
 
-# Circles count as touching if they miss each other by at most TOUCH [radii].
+# Circles count as touching if the gap between them is at most TOUCH [radii].
 TOUCH = 1e-12
 
-# Signs of lengths and of turns to the left for four problems: the given one, driven backwards, mirrored, and both.
+# Signs of lengths and of turns to the left for four problems: the given problem, the problem driven backwards, the
+# mirror image, and the mirror image driven backwards.
 SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 
 
@@ -38,7 +39,7 @@ class Ways(NamedTuple):
     Attributes
     ----------
     lengths, turns : ndarray, shape (N, ways, motions)
-        NaN where there is no way of this kind. Motions that a way does not need are 0.
+        NaN if there is no way of this kind. Motions that a way does not need are 0.
     """
 
     lengths: Floats
@@ -46,13 +47,13 @@ class Ways(NamedTuple):
 
     @property
     def costs(self) -> Floats:
-        """Length of each way plus 1 m per radian turned in place, shape (N, ways); infinite if there is no way."""
+        """Length of each way plus 1 m per radian of turns in place, shape (N, ways); infinite if there is no way."""
         costs = np.where(self.lengths == 0.0, np.abs(self.turns), np.abs(self.lengths)).sum(axis=2)
         return np.where(np.isfinite(costs), costs, np.inf)
 
 
 class Polar(NamedTuple):
-    """The center of the last circle, relative to the center of a first circle to the left, for circles of radius 1."""
+    """The center of the last circle relative to the center of the first circle, which is to the left (radius 1)."""
 
     x: Floats
     y: Floats
@@ -94,7 +95,7 @@ def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
 
 
 def differential(a: Floats, b: Floats, reverse: bool = True) -> Ways:
-    """Return the ways of a base that turns in place, drives straight (also backwards if it may), and turns again."""
+    """Return the ways of a base that turns in place, drives straight (also backwards if allowed), and turns again."""
     x, y, turn = _seen_from(a, b)
     way = np.sqrt(x * x + y * y)
     bearing = np.where(way > 0.0, arctan2(y, x), 0.0)
@@ -115,9 +116,9 @@ def _seen_from(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
 def _words(x: Floats, y: Floats, turn: Floats, reverse: bool) -> tuple[Floats, Floats]:
     """Return signed lengths (N, words, 5) and steering (words, 5) of the words, for circles of radius 1.
 
-    Each formula is for a word that begins to the left and forwards. The formula is applied to four problems with
-    different signs and, where the word read backwards is a different word, also to the problem from the goal to the
-    start.
+    Each formula is for a word that begins forwards and to the left. The formula is applied to four problems with
+    different signs. If the word read backwards is a different word, the formula is also applied to the problem from the
+    goal to the start.
     """
     signs = np.array(SIGNS if reverse else SIGNS[::2])
     X, Y, P = signs[:, :1] * x, signs[:, 1:] * y, signs.prod(axis=1)[:, None] * turn
@@ -138,7 +139,7 @@ Word = tuple[str, tuple[Floats, ...]]
 
 
 def _forwards(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
-    """Return the words that formulas give from the start to the goal."""
+    """Return the words that the formulas yield from the start to the goal."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
     quarter, words = np.full_like(x, -HALF / 2.0), _curves(same, other, turn)
     u = arccos(_inside((2.0 + other.distance) / 4.0))  # (8.7)
@@ -176,7 +177,7 @@ def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
 
 
 def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> list[Word]:
-    """Return the words of four motions whose second one is a quarter of a circle: (8.9) and (8.10)."""
+    """Return the words of four motions, of which the second one is a quarter of a circle: (8.9) and (8.10)."""
     far = _root(same.distance**2 - 4.0)
     t = _wrapped(same.angle + arctan2(far, -2.0))
     words: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]
@@ -197,7 +198,7 @@ def _outer(u: Floats, v: Floats, other: Polar, turn: Floats) -> tuple[Floats, Fl
 
 
 def _all_forward(x: Floats, y: Floats, turn: Floats, sine: Floats, cosine: Floats) -> list[Word]:
-    """Return Dubins's words: a backward arc is replaced with the rest of its circle, driven forwards."""
+    """Return Dubins's words. Each backward arc is replaced with the rest of its circle, driven forwards."""
     same, other = Polar.of(x - sine, y - 1.0 + cosine), Polar.of(x + sine, y - 1.0 - cosine)
     words = _curves(same, other, turn)
     return [

@@ -1,4 +1,4 @@
-"""The straight motions of a path, with limits given as shares of full speed."""
+"""Assign times to the straight motions of a path and to the blends between them, with limited acceleration."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from loewner._kernels import tolerances
 from loewner.errors import InputError
 from loewner.planners.profiles import Phase, duration
 
-# Bound on the error of computed blends, relative to the largest value and to the distance covered at full speed in the
-# whole time.
+# Bound on the error of computed blends, relative to the sum of the largest value and the distance covered at full speed
+# in the total duration.
 BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # certified.md B35
 
-# Changes of speed, and distances at constant speed, below the share SHORTEST are merged into the neighbouring phase. A
-# blend below this share becomes a stop. In shorter phases, rounding would affect the acceleration.
+# If a change of speed, or a distance at constant speed, is below the share SHORTEST, it is merged into the neighbouring
+# phase. A blend below this share becomes a stop. In shorter phases, rounding would affect the acceleration.
 SHORTEST = 1e-7
 
-# Limit on the seconds of a motion at full speed, on the seconds to reach full speed, and on the reciprocals of both:
-# their squares then do not overflow.
+# Limit on the seconds of a motion at full speed, on the seconds to reach full speed, and on the reciprocals of both
+# durations. Within this limit, their squares do not overflow.
 LARGEST_RATIO = 1e100
 
 # A row of a trajectory: the seconds since the previous row, the position, the velocity, the acceleration, and whether
-# the robot cuts a corner before the row.
+# the piece before the row is a blend.
 Row = tuple[float, Floats, Floats, Floats, bool]
 
 
@@ -42,7 +42,7 @@ class Straights(NamedTuple):
     full : ndarray, shape (k, dof)
         Velocities at full speed, that is, with one joint at its limit.
     gains : ndarray, shape (k,)
-        Fractions of full speed by which the speed can change per second.
+        Fractions of full speed by which the speed can change in a second.
     strongest : ndarray, shape (dof,)
         Limits of acceleration.
     """
@@ -123,7 +123,7 @@ class Straights(NamedTuple):
             for k, half in enumerate(halves.tolist(), 1)
         ]
         times, knots, rates, blended, _ = self.joined(halves, profiles, blends)
-        # Leave out phases whose duration is lost in the rounding of the times.
+        # Remove phases whose duration is lost in the rounding of the times.
         kept = np.append(np.diff(times) > 0, True)
         return times[kept], knots[kept], rates[kept], np.append(blended, False)[kept][:-1], None
 
@@ -144,7 +144,7 @@ class Straights(NamedTuple):
         return np.cumsum(seconds), knots, rates, blended[1:], bends
 
     def _room(self) -> Floats:
-        """Compute, for each corner, the share of full speed by which the direction can change per second."""
+        """For each corner, compute the share of full speed by which the direction can change in a second."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return smallest(self.strongest / np.abs(np.diff(self.full, axis=0)))
 
@@ -154,8 +154,8 @@ class Straights(NamedTuple):
         Parameters
         ----------
         halves : ndarray, shape (corners,)
-            Seconds at full speed from the beginning of a blend to its corner, and likewise from the corner to the
-            blend's end; 0 for a stop.
+            Seconds at full speed from the beginning of a blend to its corner, and from the corner to the blend's end; 0
+            for a stop.
         """
         with np.errstate(invalid="ignore"):
             limits = np.sqrt(np.where(halves > 0, 2 * halves * self._room(), 0.0))
@@ -176,7 +176,7 @@ def smallest(ratios: Floats) -> Floats:
 
 
 def _phases(length: float, gain: float, low: float, high: float) -> list[Phase]:
-    """Return the phases between two speeds on a straight line; their constant accelerations are not computed."""
+    """Return the phases between two speeds on a straight line, without their constant accelerations."""
     peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
     top = max(low, high)
     if peak - top <= SHORTEST * peak:
@@ -185,7 +185,7 @@ def _phases(length: float, gain: float, low: float, high: float) -> list[Phase]:
     level = length - up - down
     if abs(high - low) <= SHORTEST * peak and peak == top:
         return [Phase(2 * length / (low + high), length, high, 0.0)]
-    if level <= SHORTEST * length:  # without this phase, the other phases cover the whole distance
+    if level <= SHORTEST * length:  # without this phase, the other phases still cover the whole distance
         up, down, level = up * length / (up + down), down * length / (up + down), 0.0
     parts = ((up, low, peak), (level, peak, peak), (down, peak, high))
     return [Phase(2 * way / (begin + end), way, end, 0.0) for way, begin, end in parts if way > 0]

@@ -1,8 +1,8 @@
-"""Assign times to a path of motions proven free, within velocity and acceleration limits.
+"""Assign times to a path within velocity, acceleration and jerk limits, and prove the blends at its corners.
 
-A trajectory consists of pieces of constant acceleration. Along a motion the robot accelerates, keeps its speed and
-decelerates; across a corner it follows a parabola. Everything is in closed form, so the limits hold at every instant
-and not only on a grid. docs/design/trajectories.md describes the alternatives that were considered.
+Without jerk limits, a trajectory consists of pieces of constant acceleration. Along a motion, the robot accelerates,
+keeps its speed and decelerates. Across a corner, it follows a parabola. All pieces have closed forms, so the limits
+hold at every instant, not only on a grid. docs/design/trajectories.md describes the alternatives that were considered.
 """
 
 from __future__ import annotations
@@ -38,48 +38,49 @@ from loewner.robots.checking.edges import checked_path
 from loewner.robots.description.robot import exported_rates
 from loewner.robots.proofs.curves import Curve, form_of
 
-# How many times an unproven blend is halved before the robot stops at the corner instead.
+# Number of sizes that are tried for a blend, each half the previous size. If no size is proven, the robot stops.
 HALVINGS = 5
 
 # Shortest duration of half a blend [s], unless an adjacent motion is shorter. Without this limit, blends at nearly
 # straight corners would take almost no time.
 LEAST_BLEND = 1e-3
 
-# A row that deviates from the straight line between its neighbours by at most the share ROUNDED of its values counts as
-# lying on the line.
+# A row counts as lying on the straight line between its neighbours if it deviates from the line by at most the share
+# ROUNDED of its values.
 ROUNDED = 1e-15
 
 # Least time between a row added for a rate and any other row, in multiples of the shortest phase that rounding permits.
-# SPACED applies if the jerk is limited, since controllers then interpolate quintics. SPACED_WITHOUT_JERK applies
-# otherwise, since rows then have less noise. The limits of a trajectory from a file are unknown; rows added to it are
-# at least CLOSEST periods from any knot.
+# SPACED applies to trajectories with limited jerk, which controllers interpolate by quintics. SPACED_WITHOUT_JERK
+# applies to all others, whose rows have less noise. If the limits are unknown, because the trajectory was read from a
+# file, added rows are at least CLOSEST periods from any knot.
 SPACED, SPACED_WITHOUT_JERK, CLOSEST = 1.3, 0.5, 0.05  # certified.md, "Rounding of limits"
 
-# Rows that are less than a nanosecond apart are merged, since times in a message are whole nanoseconds.
+# Rows that are less than a nanosecond apart are merged, because times in a message are whole nanoseconds.
 NANOSECOND = 1e-9
 
-# Number of corners whose blends are chosen together: the effort grows quadratically, and distant corners hardly matter.
+# Number of corners whose blends are chosen together. The effort grows quadratically with this number, and distant
+# corners hardly affect each other.
 CHOSEN_AT_A_TIME = 32
 
-# The largest share of a motion that a blend may take; the rest is needed to change the speed.
+# The largest share of a motion that a blend may take. The rest is needed to change the speed.
 LARGEST_SHARE = 0.49
 
 # Largest number of rows on a straight line that are merged into one motion.
 MOST_MERGED = 4096
 
 # Allowed deviation of a file's rows from constant acceleration, for each joint: FILE_TOLERANCE times the joint's range,
-# plus FILE_ROUNDINGS times the sum of its largest value and the distance covered at its largest velocity in the whole
-# time.
+# plus FILE_ROUNDINGS times the sum of the joint's largest value and the distance covered at its largest velocity in the
+# total duration.
 FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(KeepsReadOnly):
-    """The position of a robot as a function of time; made by `trajectory` or `plan`, or read by `load`.
+    """The position of a robot as a function of time. `trajectory` and `plan` make trajectories, and `load` reads them.
 
-    Between two consecutive `times`, accelerations are constant, or change linearly if the jerk is limited. In a
-    trajectory from `plan` with `start_time`, or through joint targets (`of_targets`), velocities are constant instead,
-    and jump at `times`.
+    Between two consecutive `times`, accelerations are constant or, if the jerk is limited, change linearly. In a
+    trajectory from `plan` with `start_time`, or through joint targets (`of_targets`), velocities are constant between
+    `times`, and jump at `times`.
 
     Attributes
     ----------
@@ -89,23 +90,24 @@ class Trajectory(KeepsReadOnly):
         Times in seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times. The robot starts and ends at rest, except in
-        plans in time, at the start of a brake, and at the end of a `time_path` with an `end_velocity`. Where velocities
-        jump, ``rates`` has the values after the jump.
+        plans in time, at the start of a brake, and at the end of a `time_path` with an `end_velocity`. At jumps,
+        ``rates`` contains the velocities after the jump.
     blended : ndarray of bool, shape (n - 1,)
-        For each interval, whether the robot cuts a corner; in all other intervals it is on the path.
+        For each interval, whether the robot cuts a corner. In all other intervals, the robot is on the path.
     bends : ndarray, shape (n, dof), or None
-        Accelerations at these times [rad/s² or m/s²] if the jerk is limited; otherwise None, since accelerations jump.
+        Accelerations at these times [rad/s² or m/s²] if the jerk is limited. Otherwise None, because accelerations
+        jump.
     jumps : bool
         Whether velocities jump at these times. If ``bends`` is None, velocities are constant in between. Otherwise,
         ``bends`` are the accelerations just after these times, and accelerations change linearly in between, as on a
         brake through joint targets (`stop_at`).
     start_time : float
-        When the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`);
+        Time at which the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`).
         `CollisionChecker.certify_trajectory` uses this time by default. For a trajectory ``moved``,
         ``dataclasses.replace(moved, start_time=4.0)`` is the same trajectory with its start at 4 s.
     spacing : float
-        Least time [s] between a row that `save` adds for ``rate=`` and any other row: because of rounding, closer rows
-        would break the limits. The spacing is 0 if the limits are not known, as for a trajectory from a file.
+        Least time [s] between a row that `save` adds for ``rate=`` and any other row. Because of rounding, closer rows
+        would break the limits. The spacing is 0 if the limits are unknown, as for a trajectory from a file.
 
     Examples
     --------
@@ -138,7 +140,7 @@ class Trajectory(KeepsReadOnly):
 
     @classmethod
     def of_targets(cls, robot: Robot, targets: ArrayLike, dt: float, *, start_time: float = 0.0) -> Trajectory:
-        """Move straight from one joint target to the next, as a controller that receives one target per period does.
+        """Move straight from one joint target to the next, like a controller that receives one target per period.
 
         Parameters
         ----------
@@ -153,7 +155,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            Velocities are constant between targets and jump at the targets; the trajectory may end in motion.
+            Velocities are constant between targets, and jump at targets. The trajectory may end in motion.
 
         Raises
         ------
@@ -199,7 +201,7 @@ class Trajectory(KeepsReadOnly):
     @property
     def stops(self) -> Floats:
         """Times, between start and end, at which the robot rests at a corner."""
-        inside = self.blended[:-1] & self.blended[1:]  # where a blend turns back
+        inside = self.blended[:-1] & self.blended[1:]  # at which a blend reverses
         return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1) & ~inside])
 
     @property
@@ -236,7 +238,7 @@ class Trajectory(KeepsReadOnly):
     def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
         if self.bends is not None and not self.jumps:
             return self._cubics(k, x, T)
-        # Weighted means of control points stay in their hull, and are exact at both ends.
+        # Weighted means of control points stay in the hull of these points, and are exact at both ends.
         (a, *inner, b), y = self._control_points(k, T), 1 - x
         if len(inner) == 0:
             return np.asarray(y * a + x * b)
@@ -245,7 +247,7 @@ class Trajectory(KeepsReadOnly):
         return np.asarray(y**3 * a + 3 * x * y**2 * inner[0] + 3 * x * x * y * inner[1] + x**3 * b)
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Compute the velocities at given times; at a jump, return the velocity after the jump.
+        """Compute the velocities at given times. At a jump, the result is the velocity after the jump.
 
         Parameters
         ----------
@@ -280,7 +282,7 @@ class Trajectory(KeepsReadOnly):
         return velocities
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Compute the accelerations at given times; at a jump, return the acceleration after the jump.
+        """Compute the accelerations at given times. At a jump, the result is the acceleration after the jump.
 
         Parameters
         ----------
@@ -332,10 +334,10 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         times : ndarray, shape (m,)
-            Multiples of 1 / rate, and the end of the trajectory. A multiple less than 1 ns before the end is left out.
+            Multiples of 1 / rate, and the end of the trajectory. A multiple less than 1 ns before the end is omitted.
         positions : ndarray, shape (m, dof)
         velocities, accelerations : ndarray, shape (m, dof)
-            The arrays that `velocities` and `accelerations` return, only if `full`.
+            The arrays that `velocities` and `accelerations` return; only if `full` is true.
 
         Raises
         ------
@@ -358,7 +360,7 @@ class Trajectory(KeepsReadOnly):
         return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
     def to_drake(self, robot: Robot) -> Any:
-        """Convert the trajectory of a robot from `Robot.from_drake` to Drake, in the order of the plant's positions.
+        """Convert the trajectory of a robot from `Robot.from_drake` to Drake. Columns are in the order of the plant.
 
         Parameters
         ----------
@@ -368,14 +370,14 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         pydrake.trajectories.PiecewisePolynomial
-            The same trajectory up to rounding. For other libraries, ``robot.exported(trajectory.positions(t))`` returns
-            configurations.
+            The same trajectory, up to rounding. For other libraries, use the configurations
+            ``robot.exported(trajectory.positions(t))``.
 
         Raises
         ------
         InputError
             If the trajectory is for another robot. If the robot is not from `Robot.from_drake`, or has quaternions. If
-            velocities jump and also change between jumps, as on a brake through joint targets.
+            velocities jump and also change between jumps, as in a brake through joint targets.
         MissingExtraError
             If Drake is not installed.
 
@@ -396,7 +398,7 @@ class Trajectory(KeepsReadOnly):
         return PiecewisePolynomial.CubicHermite(self.times, knots, rates)
 
     def part(self, name: str) -> Trajectory:
-        """Return the motion of one of several joined robots (`Robot.join`), with its own names and the same times.
+        """Return the motion of one of several joined robots (`Robot.join`), with this robot's names and the same times.
 
         Parameters
         ----------
@@ -407,8 +409,8 @@ class Trajectory(KeepsReadOnly):
         -------
         Trajectory
             The columns whose names begin with ``name/``, without this prefix. A proof for one robot does not cover the
-            other robots: prove the whole trajectory. `stops` are the times at which this robot rests, and `blends` the
-            intervals in which any of the robots cuts a corner.
+            other robots, so prove the whole trajectory. `stops` are the times at which this robot rests. `blends` are
+            the intervals in which at least one of the robots cuts a corner.
 
         Raises
         ------
@@ -443,44 +445,43 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each joint, ``NAME
-            acceleration`` if the jerk is limited, and ``blend``, which is 1 if the robot cuts a corner between this row
-            and the next. `load` reads ``.csv`` and ``.json`` files. A ``.yaml`` file contains a ROS
-            ``trajectory_msgs/JointTrajectory`` with the positions and velocities at whole nanoseconds. Each row is
-            moved to the nearest nanosecond, rows at the same nanosecond are merged, and the end is rounded up.
-            Accelerations that jump are not written: a controller follows the trajectory if it interpolates only
-            positions and velocities. A message does not contain `start_time`; a ``.csv`` file contains it in a comment
-            in the first line, unless it is 0.
+            A ``.csv`` file has a column ``time``, and a column of positions and a column ``NAME velocity`` for each
+            joint. If the jerk is limited, it also has a column ``NAME acceleration`` for each joint. The column
+            ``blend`` is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and ``.json``
+            files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with the positions and velocities
+            at whole nanoseconds. Each row is moved to the nearest nanosecond, rows at the same nanosecond are merged,
+            and the end is rounded up. Accelerations that jump are not written, because a controller that interpolates
+            only positions and velocities follows the trajectory. Unless `start_time` is 0, a ``.csv`` file contains it
+            in a comment in the first line. A message does not contain it.
         joints : sequence of str, optional
-            Names of the columns to write, in this order. Default: all. The file does not contain the motion of the
-            omitted columns, so a proof of the whole trajectory holds only if these columns also follow the trajectory
-            at the same times.
+            Names of the columns to write, in this order. Default: all columns. If you omit columns, a proof of the
+            whole trajectory holds only if the omitted joints also follow the trajectory, at the same times.
         names : mapping or sequence of str, optional
             Names of the columns in the file: a mapping from the trajectory's names to new names, or a list with a name
             for each written column.
         controllers : path, optional
-            A YAML file of ros2_control or MoveIt that lists controllers. A file is written for each controller, such as
-            ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller ``arm_controller``. The file
-            contains the controller's joints, in the controller's order. Each column whose values change must belong to
-            a controller that accepts trajectories. The columns must include all joints of such a controller or none,
-            unless the controller allows partial goals.
+            A YAML file of ros2_control or MoveIt that lists controllers. A separate file is written for each
+            controller, such as ``moved.arm_controller.yaml`` for ``path="moved.yaml"`` and the controller
+            ``arm_controller``. It contains the controller's joints, in the controller's order. Each column whose values
+            change must belong to a controller that accepts trajectories. Unless the controller allows partial goals,
+            the columns must include all of its joints, or none.
         rate : float, optional
-            Also write rows at this rate [1/s], for programs that connect rows with straight lines. By default the rows
+            Also write rows at this rate [1/s], for programs that connect rows with straight lines. By default, the rows
             are the knots, between which accelerations are constant or change linearly. If velocities jump, the robot
             moves straight between knots, and files contain only positions. Rows closer than ``spacing`` to other rows
-            are left out, since their rounding would break the limits. With limited jerk, this leaves out rows near the
-            knots. If the period of `rate` is shorter than ``spacing``, only every second or third row remains, or
-            fewer. `sample` returns all rows.
+            are omitted, because their rounding would break the limits. With limited jerk, this affects rows near the
+            knots. If the period of `rate` is shorter than ``spacing``, only every second or third row is written, or
+            even fewer. `sample` returns all rows.
         message : bool
-            Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does;
-            `ControllerPoints.load` reads the message.
+            Whether a ``.json`` file contains a JointTrajectory message, like a ``.yaml`` file. `ControllerPoints.load`
+            reads such a message.
 
         Raises
         ------
         InputError
             If the file has another extension, the rate is not a number from 0 to 1e9, or `message` is true for a
             ``.csv`` file. If names are repeated, or a name would count as another kind of column in a ``.csv`` file. If
-            the controllers and the columns do not match, or velocities jump and also change between jumps.
+            the controllers and the columns do not match. If velocities jump and also change between jumps.
         UnknownNameError
             If `joints` or `names` has a name that the trajectory lacks.
         FileError
@@ -492,8 +493,8 @@ class Trajectory(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If a controller in the list has unknown settings, or does not interpolate between points; or if the period
-            of `rate` is shorter than ``spacing``.
+            If a controller in the list has unknown settings, or does not interpolate between points. If the period of
+            `rate` is shorter than ``spacing``.
 
         Examples
         --------
@@ -558,7 +559,7 @@ class Trajectory(KeepsReadOnly):
     def certify(
         self, checker: CollisionChecker, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0, proof: bool = False
     ) -> CertifiedTrajectory:
-        """Prove that the robot is free of collisions at every instant; see `CollisionChecker.certify_trajectory`.
+        """Prove that the robot is free of collisions at every instant, with `CollisionChecker.certify_trajectory`.
 
         Parameters
         ----------
@@ -595,19 +596,19 @@ class Trajectory(KeepsReadOnly):
         limits: JointLimits | None = None,
         beyond: bool = False,
     ) -> Trajectory:
-        """Return a brake that begins at a given time: either along the path, or joint by joint, leaving the path.
+        """Return a brake that begins at a given time, either along the path, or joint by joint and off the path.
 
         Parameters
         ----------
         t : float
-            When the robot begins to brake, in seconds from 0 to `duration`.
+            Time at which the robot begins to brake, in seconds from 0 to `duration`.
         how : str
-            ``"path"``: the robot stays on the path of the trajectory, and stops there as soon as the limits of all
-            joints allow; it does not brake on blends. ``"joints"``: each joint brakes by itself; see `brake`.
+            ``"path"``: the robot stays on the path of the trajectory, and stops as soon as the limits of all joints
+            allow. It does not brake on blends. ``"joints"``: each joint brakes independently (see `brake`).
         acceleration, jerk : float or array_like, shape (dof,), optional
             Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
-            jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be no lower than the
-            trajectory's own. For such a brake, give jerk limits if and only if the trajectory has them.
+            jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be at least as high as the
+            trajectory's limits, and jerk limits must be given if and only if the trajectory has them.
         limits : JointLimits, optional
         beyond : bool
             Whether the robot may continue straight after the end of a trajectory that ends in motion.
@@ -615,7 +616,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         Trajectory
-            The motion from the configuration at `t` to rest; its `start_time` is `t` plus the `start_time` of the
+            The motion from the configuration at `t` to rest. Its `start_time` is `t` plus the `start_time` of the
             trajectory.
 
         Raises
@@ -623,8 +624,8 @@ class Trajectory(KeepsReadOnly):
         InputError
             If an argument has the wrong shape or value, or a joint that moves has no limit.
         PlanningError
-            If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False; or if the
-            limits are too low to stay on the path.
+            If the trajectory ends in motion before the robot can stop on its path, and `beyond` is False. If the limits
+            are too low to stay on the path.
         UnknownNameError
             If `how` is neither ``"path"`` nor ``"joints"``.
 
@@ -634,11 +635,11 @@ class Trajectory(KeepsReadOnly):
 
         Notes
         -----
-        On a path through joint targets, a brake slows down the time of the path; with jerk limits, one
-        slowdown is used for all motions on which the robot brakes. Velocities still jump at targets, so the limits hold
-        only between targets. On any other path, the robot slows down on straight lines, and passes blends at its
-        remaining speed. If no body moves, a brake along a path that is proven free is also proven. All other brakes
-        need a proof of their own (`certify`).
+        On a path through joint targets, a brake slows down time along the path. With jerk limits, the same slowdown is
+        used for all motions on which the robot brakes. Velocities still jump at targets, so the limits hold only
+        between targets. On any other path, the robot slows down on straight lines, and passes blends at the reduced
+        speed. If no body moves, a brake along a path that is proven free is also proven. All other brakes require a
+        separate proof (`certify`).
 
         Examples
         --------
@@ -690,7 +691,7 @@ class Trajectory(KeepsReadOnly):
         return k, x[..., None], T[..., None]
 
     def _expect_no_turns(self) -> None:
-        """Refuse a trajectory whose velocities jump and change between jumps, since other formats cannot hold it."""
+        """Refuse a trajectory whose velocities jump and change between jumps, which other formats cannot represent."""
         if self.jumps and self.bends is not None:
             raise InputError(
                 "expected velocities that do not jump, or are constant between jumps, found a brake through joint "
@@ -708,7 +709,7 @@ class Trajectory(KeepsReadOnly):
         return a, a + ahead, last, b
 
     def _bent(self, k: Any, x: Floats, T: Floats) -> Floats:
-        """Return accelerations on pieces whose velocities jump; the final position determines the last acceleration."""
+        """Return accelerations on pieces whose velocities jump. The final position determines the last acceleration."""
         bends: Any = self.bends
         way = self.knots[k + (T[..., 0] > 0)] - self.knots[k] - self.rates[k] * T
         end = np.divide(6 * way, T * T, out=3 * bends[k], where=T > 0) - 2 * bends[k]
@@ -735,10 +736,9 @@ class Trajectory(KeepsReadOnly):
         return np.append(times[before], self.duration)
 
     def _with_ticks(self, rate: float) -> Trajectory:
-        """Return the same trajectory with knots added at a constant rate."""
+        """Return the same trajectory with additional knots at a constant rate."""
         ticks = self._ticks(rate)[:-1]
-        # Between two rows that are almost at the same time, velocities, accelerations or jerks would be mostly rounding
-        # errors.
+        # Between two rows at almost the same time, velocities, accelerations or jerks would be mostly rounding errors.
         closest = self.spacing or CLOSEST / rate
         every = math.ceil(closest * rate * (1 - SHORTEST))
         if every > 1:
@@ -757,7 +757,7 @@ class Trajectory(KeepsReadOnly):
         )
 
     def _shortest(self, fastest: Floats, strongest: FloatOrFloats = np.inf, jerk: FloatOrFloats | None = None) -> float:
-        """Return the shortest time between two rows at which rounding breaks no limit."""
+        """Return the shortest time between two rows such that rounding breaks no limit."""
         size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
         return shortest(size, fastest, strongest, np.inf if jerk is None else jerk)
 
@@ -787,12 +787,12 @@ class Trajectory(KeepsReadOnly):
         return messages.written(self.names, times, rows, suffix)
 
     def _at_nanoseconds(self) -> tuple[Floats, tuple[Any, Floats, Floats]]:
-        """Return the times of a message's rows, and each row's piece and place on the piece, as `_pieces` does.
+        """Return the times of a message's rows and, like `_pieces`, the piece of each row and its place on the piece.
 
-        The rows are at the rounded times of the trajectory, so that limits hold although times are rounded. Each inner
-        row is evaluated on the longer of the two pieces at its knot, even if its rounded time lies on the shorter one.
+        The rows are evaluated at rounded times, so that the limits hold although times are rounded. Each inner row is
+        evaluated on the longer one of the two pieces at its knot, even if its rounded time is on the shorter piece.
         Otherwise, a controller's curve between rows could depart from the longer piece. The end is rounded up, so that
-        the robot is at rest there.
+        the robot is at rest at the end.
         """
         times = messages.nanoseconds(self.times)
         if self.duration - times[-1] > 4 * np.spacing(self.duration):
@@ -814,7 +814,7 @@ class Trajectory(KeepsReadOnly):
         return cls(rows.names, rows.times, rows.knots, rows.rates, rows.blended, rows.bends, start_time=rows.start_time)
 
     def _fault(self) -> str:
-        """Describe the first requirement that a trajectory violates; "" if there is none."""
+        """Describe the first requirement that a trajectory violates, or return ""."""
         n, dof = self.times.size, len(self.names)
         columns = [self.knots, self.rates] + ([] if self.bends is None else [self.bends])
         shapes = [a.shape for a in (self.times, self.blended, *columns)]
@@ -834,7 +834,7 @@ class Trajectory(KeepsReadOnly):
         return self._jump(self.rates, self.bends, 0.0, linear) or self._jump(self.knots, self.rates, bent, linear)
 
     def _jump(self, values: Floats, rates: Floats, bent: FloatOrFloats, wanted: str) -> str:
-        """Describe the first row whose values are not the last ones plus the integral of linear rates, less `bent`."""
+        """Describe the first row that is not the previous row plus the integral of linear rates, minus `bent`."""
         T = np.diff(self.times)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused
             off = np.abs(np.diff(values, axis=0) - (rates[1:] + rates[:-1]) * T / 2 + bent)
@@ -866,38 +866,38 @@ def trajectory(
     blend: float = 0.4,
     line: str | Line | Iterable[str | Line] | None = None,
 ) -> Trajectory:
-    """Assign times to a path, so that the motion is the fastest within its limits, optionally with a limit on jerk.
+    """Assign times to a path, such that the robot moves as fast as its limits allow, optionally with limited jerk.
 
-    Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
-    blends that are proven free of collisions at every instant: parabolas, or cubic polynomials if the jerk is limited.
-    The robot stops at a corner where no blend can be proven.
+    Without a checker, the robot follows the path exactly and stops at every corner. With a checker, blends cut the
+    corners. Blends are parabolas or, if the jerk is limited, cubic polynomials, and are proven free of collisions at
+    every instant. If no blend can be proven at a corner, the robot stops there.
 
     Parameters
     ----------
     robot : Robot
     path : array_like, shape (k, dof)
-        Two or more configurations, as from `plan`; each joint value changes linearly from one configuration to the
-        next.
+        Two or more configurations, for example from `plan`. Each joint value changes linearly from one configuration to
+        the next.
     velocity : float or array_like, shape (dof,), optional
         Velocity limits [rad/s or m/s]. Default: from `limits`, or from the URDF (`Robot.velocity`).
     acceleration : float or array_like, shape (dof,), optional
-        Acceleration limits [rad/s² or m/s²]. Default: from `limits`, or from a URDF of version 1.2; a joint without an
+        Acceleration limits [rad/s² or m/s²]. Default: from `limits`, or from a URDF of version 1.2. A joint without an
         acceleration limit reaches its velocity limit in one second.
     jerk : float or array_like, shape (dof,), optional
         Jerk limits [rad/s³ or m/s³]. Default: from `limits`, or from a URDF of version 1.2. Without jerk limits,
         accelerations jump.
     limits : JointLimits, optional
-        Limits from a file; the path must be within the position limits.
+        Limits from a file. The path must be within the position limits.
     checker : CollisionChecker, optional
-        A checker for this robot; with a checker, every motion of the path must be provably free.
+        A checker for this robot. With a checker, every motion of the path must be provably free.
     blend : float
-        Fraction of a motion, from 0 (stop at every corner) to 0.49, that the blend at each end of the motion may take.
-        Without a checker, `blend` has no effect.
+        The fraction of a motion that a blend at either end may take, from 0 (stop at every corner) to 0.49. Without a
+        checker, `blend` has no effect.
     line : str, Line or iterable, optional
-        One or several links that stay on straight lines, as on a path from `straight`. A name means that the link keeps
-        a line on the whole path, within 0.1 mm and 1 mrad; a `Line` can give rows of the path and other tolerances. The
-        link provably stays within the tolerances at every instant, also on blends. At the ends of a line, the robot
-        stops.
+        One or several links that stay on straight lines, for example on a path from `straight`. If you give a name, the
+        link keeps a line on the whole path, within 0.1 mm and 1 mrad. With a `Line`, you can set the rows of the path
+        and the tolerances. The link provably stays within the tolerances at every instant, also on blends. The robot
+        stops at the ends of a line.
 
     Returns
     -------
@@ -912,23 +912,23 @@ def trajectory(
         `limits`. If the robot has a floating or ball joint, whose orientations do not change linearly, or the checker
         or the limits belong to another robot.
     PlanningError
-        If there is a checker and a motion of the path is not proven free; the message names the motion and a pair of
-        bodies. If a link does not provably keep its line on a motion of the path; the message gives the deviation.
+        If, with a checker, a motion of the path is not proven free. The message names the motion and a pair of bodies.
+        If a link does not provably keep its line on a motion of the path. The message states the deviation.
     UnknownNameError
         If the robot has no link of this name.
 
     See Also
     --------
     plan : Finds paths. straight : Finds paths on which a link keeps a line.
-    time_path : Assigns times among bodies that move.
+    time_path : Assigns times among moving bodies.
 
     Notes
     -----
-    If the robot stops at every corner, the trajectory is the fastest one along the path. Without jerk limits, a blend
-    has constant acceleration; with jerk limits, a blend begins and ends with zero acceleration. Every blend is as fast
-    as the limits and the neighbouring motions allow. Each joint keeps its limits at every instant, up to rounding. If
-    the jerk is limited, a millionth of each limit is reserved for rounding errors, and for an arm no phase is shorter
-    than about half a millisecond.
+    If the robot stops at every corner, the trajectory is the fastest one along the path. Without jerk limits, the
+    acceleration is constant on a blend. With jerk limits, the acceleration is zero at both ends of a blend. Every blend
+    is as fast as the limits and the neighbouring motions allow. Each joint stays within its limits at every instant, up
+    to rounding. If the jerk is limited, a millionth of each limit is reserved for rounding errors, and the shortest
+    phase of an arm takes about half a millisecond.
 
     Examples
     --------
@@ -960,7 +960,7 @@ def trajectory(
 
 
 def blends_of(motions: Straights | JerkLimited, judge: Judge, share: float, kept: Sequence[KeptLine] = ()) -> Floats:
-    """Choose sizes of blends for all corners such that the blends are proven and the motion is as fast as possible.
+    """Choose a blend size for each corner, such that all blends are proven and the motion is as fast as possible.
 
     A blend takes up to a given share of the motions. Blends on `kept` lines keep these lines.
     """
@@ -980,10 +980,10 @@ def brake(
     limits: JointLimits | None = None,
     start_time: float = 0.0,
 ) -> Trajectory:
-    """Stop a robot joint by joint: each joint stops in the shortest time that its limits allow, and then rests.
+    """Return a brake joint by joint: each joint stops in the shortest time that its limits allow, and then rests.
 
-    A controller whose trajectory is cancelled stops in this way if it limits decelerations. The robot leaves the path
-    on which it moved, so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` can also brake on the path.
+    If a trajectory is cancelled, a controller that limits decelerations stops in this way. The robot leaves its path,
+    so prove the brake (`Trajectory.certify`). `Trajectory.stop_at` can also brake on the path.
 
     Parameters
     ----------
@@ -991,17 +991,17 @@ def brake(
     q, dq : array_like, shape (dof,)
         Positions [rad or m] and velocities [rad/s or m/s] when the robot begins to brake.
     ddq : array_like, shape (dof,), optional
-        Accelerations at that time [rad/s² or m/s²], no larger than the limits; they are used only if the jerk is
+        Accelerations at that time [rad/s² or m/s²], which must not exceed the limits. They are used only if the jerk is
         limited. Default: 0.
     acceleration : float or array_like, shape (dof,), optional
-        Limits of deceleration. Default: from `limits`, or from the URDF; a joint that moves must have a limit.
+        Limits of deceleration. Default: from `limits`, or from the URDF. A joint that moves must have a limit.
     jerk : float or array_like, shape (dof,), optional
         Limits of jerk [rad/s³ or m/s³]. Default: from `limits`, or from the URDF. Without jerk limits, accelerations
         jump.
     limits : JointLimits, optional
         Limits from a file. Limits of velocity and position have no effect.
     start_time : float
-        When the brake begins, in seconds on the clock of bodies that follow motions.
+        Time at which the brake begins, in seconds on the clock of bodies that follow motions.
 
     Returns
     -------
@@ -1011,7 +1011,7 @@ def brake(
     Raises
     ------
     InputError
-        If an argument has the wrong shape or value; if a joint that moves has no limit; or if the robot has a floating
+        If an argument has the wrong shape or value, if a joint that moves has no limit, or if the robot has a floating
         or ball joint.
 
     See Also
@@ -1020,9 +1020,9 @@ def brake(
 
     Notes
     -----
-    With n joints that move, a brake has at most n pieces of constant acceleration, or 3 n pieces if the jerk is
-    limited. With a jerk limit, accelerations cannot jump. The velocity of a joint may therefore rise at first, even
-    above its limit, but by no more than the jerk limit makes unavoidable.
+    If n joints move, a brake has at most n pieces of constant acceleration or, if the jerk is limited, at most 3 n
+    pieces of constant jerk. With a jerk limit, accelerations cannot jump. Therefore, the velocity of a joint may rise
+    at first, even above its limit, but by no more than the jerk limit makes unavoidable.
 
     Examples
     --------
@@ -1051,7 +1051,7 @@ def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def expect_straight(robot: Robot, name: str = "robot") -> None:
-    """Refuse anything but a robot whose joint values change linearly along motions; `name` is the argument to blame."""
+    """Refuse an argument `name` that is not a robot whose joint values change linearly along motions."""
     expect_robot(robot)
     if not robot.runs_straight:
         raise InputError(
@@ -1061,7 +1061,7 @@ def expect_straight(robot: Robot, name: str = "robot") -> None:
 
 
 def checked_blend(blend: float) -> float:
-    """Check the argument `blend`, the share of a motion that a blend at each end may take."""
+    """Check the argument `blend`, the share of a motion that a blend at either end may take."""
     share = _validate.positive_scalar(blend, "blend", zero=True)
     if share > LARGEST_SHARE:
         raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")
@@ -1069,7 +1069,7 @@ def checked_blend(blend: float) -> float:
 
 
 def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
-    """Return the row indices of the path's ends, its corners and the given ends of lines, without repeated rows.
+    """Return the indices of the path's ends, its corners and the given ends of lines, without repeated rows.
 
     Rows on a straight line are corners only if they are ends of lines.
     """
@@ -1085,7 +1085,7 @@ def corners_of(rows: Floats, ends: Sequence[int] = ()) -> Ints:
 
 
 def _at_or_before(numbers: Ints, ends: Sequence[int]) -> Ints:
-    """Find the ends of lines among the indices of kept rows; a repeated row counts as its first occurrence."""
+    """Find the ends of lines among the indices of kept rows. A repeated row counts as its first occurrence."""
     return np.searchsorted(numbers, np.array(ends, dtype=np.int64), side="right") - 1
 
 
@@ -1107,7 +1107,7 @@ def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
 def _proven_blends(
     judge: Judge, motions: Straights | JerkLimited, share: float, kept: Sequence[KeptLine]
 ) -> list[Floats]:
-    """Find the proven blend sizes for each corner, largest first; the last size is 0, a stop."""
+    """Find the proven blend sizes for each corner, in descending order. The last size is 0, which is a stop."""
     straights, lengths = motions.straights, motions.straights.lengths
     shorter = np.minimum(lengths[:-1], lengths[1:])
     halves = np.minimum(np.maximum(motions.wanted, LEAST_BLEND), share * shorter)
@@ -1130,7 +1130,7 @@ def _proven_blends(
 
 
 def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> KeptLine:
-    """Find the line of a link, and refuse a path whose motions do not provably keep it.
+    """Find the line of a link, and refuse a path whose motions do not provably keep the line.
 
     Raises
     ------
@@ -1153,7 +1153,7 @@ def _on_line(robot: Robot, line: Line, rows: Floats, numbers: Ints) -> KeptLine:
 
 
 def _keeps(on: KeptLine, motions: Straights | JerkLimited, halves: Floats, off: Floats) -> Bools:
-    """Return which blends are allowed: between a line's ends, blends that provably keep the line; at its ends, none."""
+    """Return which blends a line allows: no blends at the line's ends, and between them, blends that keep the line."""
     good, first, last = np.ones(len(halves), dtype=bool), on.line.first, on.line.last
     good[[at - 1 for at in (first, last) if 0 < at <= len(halves)]] = False
     if last - first > 1:
@@ -1175,7 +1175,7 @@ def _shortest(motions: Straights | JerkLimited, proven: list[Floats]) -> Floats:
 
 
 def _shortest_part(motions: Straights | JerkLimited, proven: list[Floats]) -> Floats:
-    """Choose blend sizes for a path with few corners, such that no change of a single size shortens the duration."""
+    """Choose blend sizes for a path with few corners, such that changing any single size does not save time."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = motions.duration(halves)
     improved = True

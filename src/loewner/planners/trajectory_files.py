@@ -1,4 +1,4 @@
-"""Files of trajectories: .csv with a row for each knot, and .json; every number is read back exactly."""
+"""Read and write trajectories as .csv, with a row for each knot, or as .json. All numbers are restored exactly."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class Rows(NamedTuple):
     Attributes
     ----------
     names, times, knots, rates, blended, bends, start_time
-        As for `Trajectory`; without `rates` and `blended`, velocities are constant between the times and jump there.
+        As for `Trajectory`. Without `rates` and `blended`, velocities are constant between the times, and jump at the
+        times.
     """
 
     names: tuple[str, ...]
@@ -68,9 +69,9 @@ def written(rows: Rows, suffix: str) -> str:
 def table_of(
     names: Sequence[str], times: Floats, parts: Sequence[Floats], start_time: float, flags: list[int] | None = None
 ) -> str:
-    """Return the text of a table: times, and positions, optionally with velocities, and then with accelerations.
+    """Return the text of a table with times and positions, optionally with velocities, or velocities and accelerations.
 
-    With `flags`, the last column marks the rows after which the robot cuts a corner.
+    With `flags`, the last column marks rows after which the robot cuts a corner.
     """
     expect_in_table(names)
     kinds = ("", VELOCITY, ACCELERATION)[: len(parts)]
@@ -97,7 +98,7 @@ def read(source: Path) -> Rows:
         if rows.rates is None and rows.bends is not None:
             raise InputError("expected accelerations beside velocities and blends, found them alone")
         if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
-            raise InputError("expected times that increase, found others")  # between which velocities are differences
+            raise InputError("expected times that increase, found others")  # velocities are divided by them
         if rows.rates is None and len(rows.times) != len(rows.knots):
             raise InputError(f"expected a time for each position, found {len(rows.times)} and {len(rows.knots)}")
         return rows
@@ -121,7 +122,7 @@ def _held(rows: Rows) -> dict[str, Any]:
 
 
 def rows_of_table(text: str) -> Rows:
-    """Read a table whose header names the time, joints, and the rates of all joints or of none, in any order."""
+    """Read a table whose header names, in any order, the time, the joints, and the rates of all joints or none."""
     start_time, text = _tables.start_of(text)
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
     header = rows[0] if rows else []

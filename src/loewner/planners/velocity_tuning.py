@@ -1,11 +1,11 @@
-"""Follow a given path among bodies that move, within limits of velocity, acceleration and jerk.
+"""Follow a given path among moving bodies, within limits of velocity, acceleration and jerk.
 
-The path is first timed as fast as possible. The motion is then slowed down and halted so that the robot hits no moving
-body. The robot passes each station along the trajectory at one of several shares of the highest speed; between
-stations, its acceleration is constant. A state thus consists of a station, a share and a time; states are searched
-station by station. The search considers the bodies only when the robot is at a station, so the resulting trajectory is
-proven as a whole. If the proof fails, the place and time of the failure are blocked, and the search is repeated. With
-limited jerk, positions are averaged over a time window; averaging keeps all limits. docs/design/moving.md gives the
+First, the fastest trajectory along the path is computed. Next, the robot is slowed down and halted such that it hits no
+moving body. The trajectory is divided by stations, which the robot passes at one of several shares of the highest
+speed. Between stations, its acceleration is constant. A state consists of a station, a share and a time, and the states
+are searched station by station. The search considers the bodies only at stations, so the resulting trajectory is then
+proven as a whole. If the proof fails, the search is repeated with the place and time of the failure blocked. With
+limited jerk, positions are averaged over a time window, which keeps all limits. docs/design/moving.md gives the
 reasons.
 """
 
@@ -32,12 +32,12 @@ from loewner.robots import CertifiedTrajectory, CollisionChecker
 from loewner.robots.checker import prepared_of, without_motions
 from loewner.robots.checking import verdicts
 
-# Number of stations along a trajectory, and the shares of its speed there. The squares of the shares are in equal
-# steps, since the square of a speed changes linearly along a stretch of constant acceleration.
+# Number of stations along a trajectory, and the shares of its speed at stations. The squares of the shares are equally
+# spaced, because under constant acceleration, the square of the speed changes linearly with distance.
 STATIONS = 48
 SHARES = np.sqrt(np.arange(13) / 12)
 
-# Number of bins of time in the duration of the fastest trajectory, and the largest number of bins at all stations
+# Number of time bins in the duration of the fastest trajectory, and the largest number of bins at all stations
 # together.
 BINS, MOST_BINS = 64, 2**19
 
@@ -53,8 +53,8 @@ ROUNDING = 1e-12
 # Largest relative deviation of a given end velocity from the direction of the last motion.
 ALONG = 1e-9
 
-# With limited jerk, windows of time that are longer than necessary by up to the share LONGER are tried, in TRIED steps.
-# A window is used if it leaves no phase so short that rounding affects the jerk.
+# With limited jerk, time windows that are longer than necessary are tried, in TRIED steps up to the share LONGER. A
+# window is used if no phase of the result is so short that rounding affects the jerk.
 LONGER, TRIED = 0.1, 50
 
 # Number of configurations that are checked at a time.
@@ -72,7 +72,7 @@ class _Stations(NamedTuple):
         The piece of the trajectory to which each section belongs.
     blended : ndarray of bool, shape (n,)
     seconds : ndarray, shape (n, shares, shares)
-        Durations of sections that begin and end at shares of the speed; inf where accelerations are too large.
+        Durations of sections that begin and end at given shares of the speed; inf if accelerations would be too large.
     """
 
     knots: Floats
@@ -83,7 +83,7 @@ class _Stations(NamedTuple):
 
     @classmethod
     def of(cls, moved: Trajectory, strongest: Floats, dwell: float) -> _Stations:
-        """Divide a trajectory into sections; the robot stays at each stop for `dwell` seconds."""
+        """Divide a trajectory into sections. The robot stays at each stop for `dwell` seconds."""
         whole = np.diff(moved.times)
         counts = np.ceil(whole / (moved.duration / STATIONS) * (1 - 1e-9)).astype(np.int64)
         piece = np.repeat(np.arange(len(whole)), counts)
@@ -101,7 +101,7 @@ class _Stations(NamedTuple):
 
 def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) -> Floats:
     """Compute the durations of sections between shares of speeds; see `_Stations`."""
-    # Along a straight motion, velocities are proportional to each other, so that any norm will do.
+    # Along a straight motion, velocities are proportional to each other, so any norm may be used.
     first, last = np.abs(rates[:-1]).max(axis=1), np.abs(rates[1:]).max(axis=1)
     _validate.fits_memory(16 * len(SHARES) ** 2 * (rates.size + 2 * len(rates)), f"{len(rates)} stations")
     x, y = SHARES[:, None], SHARES
@@ -111,7 +111,8 @@ def _seconds(steps: Floats, rates: Floats, blended: Bools, strongest: Floats) ->
         change = np.abs(y[..., None] * rates[1:, None, None] - x[..., None] * rates[:-1, None, None])
         within = (change <= strongest * (durations * (1 + ROUNDING))[..., None]).all(axis=-1)
     resting = ~blended & (first == 0), ~blended & (last == 0)
-    # At rest, only the share 0 is possible, and the share at the other end scales a section from or to rest.
+    # At rest, only the share 0 is possible. In a section that begins or ends at rest, the share at the other end scales
+    # the speed.
     before, after = (end[:, None, None] for end in resting)
     scaled = (x == y) | before | after
     good = np.where(blended[:, None, None], (x == y) & (x > 0), scaled | within)
@@ -146,9 +147,9 @@ def time_path(
     joint_error: ArrayLike = 0.0,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path so that the robot's drives can follow it and the robot never hits a moving body.
+    """Assign times to a path, such that the robot stays within its limits and never hits a moving body.
 
-    The robot slows down or waits where a body of the scene that follows a motion (`Scene.follow`) would be in the way.
+    The robot slows down or waits while a moving body of the scene (`Scene.follow`) would be in the way.
 
     Parameters
     ----------
@@ -159,17 +160,17 @@ def time_path(
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. The default, which is also the upper limit, leaves twice the time that the path takes
-        without moving bodies after the end of all bodies' motions. A repeated motion counts as ended after two periods.
+        The latest arrival [s]. By default, and at most, this time is the end of all bodies' motions plus twice the
+        duration of the path without moving bodies. A repeated motion counts as ended after two periods.
     arrive_at : float, optional
-        The time of arrival [s]. Default: the earliest time that the search finds.
+        The exact time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional
-        Velocities at the end [rad/s or m/s], along the last motion of the path, for example to meet a part on a belt.
-        Default: at rest.
+        Velocities at the end [rad/s or m/s], in the direction of the path's last motion, for example to meet a part on
+        a belt. Default: rest.
     velocity, acceleration, jerk, limits
         As for `trajectory`.
     joint_error : float or array_like, shape (dof,)
-        Radians or metres by which each value may deviate from the trajectory at any time; the trajectory is proven for
+        Radians or metres by which each value may deviate from the trajectory at any time. The trajectory is proven for
         all such deviations.
     blend : float
         As for `trajectory`.
@@ -178,14 +179,14 @@ def time_path(
     -------
     Trajectory
         The trajectory begins at its `start_time`, with a wait if necessary. Between its times, accelerations are
-        constant, or change linearly if the jerk is limited. With the same joint error, ``found.certify(checker)`` is
-        FREE.
+        constant or, if the jerk is limited, change linearly. `Trajectory.certify` with the same joint error also proves
+        the trajectory FREE.
 
     Raises
     ------
     PlanningError
-        If a motion of the path is not proven free without the moving bodies, the start collides at the start time, or
-        the arrival time is too early. If no timing is found. The message names a pair of bodies, the place and the
+        If a motion of the path is not proven free without the moving bodies. If the start collides at the start time,
+        or the arrival time is too early. If no timing is found. The message names a pair of bodies, the place and the
         time.
     InputError
         As for `trajectory`. If the path has only one configuration. If the velocity at the end is not along the last
@@ -193,16 +194,16 @@ def time_path(
 
     See Also
     --------
-    plan : Finds paths, and plans in time that also go around moving bodies.
+    plan : Finds paths, and trajectories that also go around moving bodies.
 
     Notes
     -----
-    The path is timed as by `trajectory`, and its speed is then tuned to the bodies' motions (Kant and Zucker,
-    "path-velocity decomposition", IJRR 1986). The search has a finite resolution: it may fail although a timing exists,
-    and the result need not arrive as early as possible. If nothing is in the way, the result is the trajectory that
-    `trajectory` finds. Otherwise, with limited jerk, the robot follows the average of its positions over a window of
-    time, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. The
-    averaged trajectory takes longer by the length of the window, and stays at each stop for that long.
+    `trajectory` assigns times to the path, and the speed is then tuned to the bodies' motions (Kant and Zucker,
+    "path-velocity decomposition", IJRR 1986). The search has a finite resolution. It may fail although a timing exists,
+    and the result may arrive later than necessary. If no body is in the way, the result is the trajectory that
+    `trajectory` returns. Otherwise, with limited jerk, the robot follows the average of its positions over a time
+    window, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. The
+    averaged trajectory takes longer by the length of the window, and stays at each stop for this time.
 
     Examples
     --------
@@ -242,7 +243,7 @@ def time_path(
         delayed = replace(_delayed(smooth, limit - smooth.duration if exact else 0.0), start_time=begin)
         if delayed.duration <= limit and delayed.certify(checker, joint_error=judge.errors).verdict == Verdict.FREE:
             return delayed._spaced(fastest, strongest, most)
-    # Averages of blends may turn out not to be free; without blends, the robot stays on the proven path.
+    # Averages of blends may not be free. Without blends, the robot stays on the proven path.
     for size in [share] if most is None or share == 0 else [share, 0.0]:
         base = Trajectory(robot.configuration_names, *motions.timed(blends_of(motions, judge, size), last_speed))
         _expect_reached(base, last_speed * motions.full[-1])
@@ -273,7 +274,7 @@ def _expect_reached(base: Trajectory, wanted: Floats) -> None:
 def _times(
     begin: float, arrive_by: float | None, arrive_at: float | None, least: float, bodies: float
 ) -> tuple[float, bool]:
-    """Check the times of arrival; return the latest arrival, counted from the start, and whether it is fixed."""
+    """Check the times of arrival; return the latest arrival, counted from the start, and whether this time is exact."""
     if arrive_by is not None and arrive_at is not None:
         raise InputError("arrive_at: expected no arrive_by with it, found both")
     name, arrival = ("arrive_by", arrive_by) if arrive_at is None else ("arrive_at", arrive_at)
@@ -289,7 +290,7 @@ def _times(
 
 
 def _last_speed(motions: Straights, given: ArrayLike, window: float) -> float:
-    """Check a velocity at the end; return it as a share of full speed along the last motion."""
+    """Check a velocity at the end, and return it as a share of full speed along the last motion."""
     full = motions.full[-1]
     wanted = _validate.finite_array(given, "end_velocity", (len(full),))
     if window and wanted.any():
@@ -323,9 +324,9 @@ class _Search(NamedTuple):
     least : float
         The shortest duration.
     ruled : ndarray of bool, shape (stations,)
-        Stations at which static bodies are in a contact that the scene allows; only the proof considers these contacts.
+        Stations at which static bodies are in contacts that the scene allows. Only the proof considers these contacts.
     closed : list of (int, float, int)
-        Sections and times that are not proven free, and the number of bins that are closed around them.
+        Sections and times that are not proven free, and the number of bins that are closed around each of them.
     blocking : list of str
         Descriptions of the closed sections, for messages.
     """
@@ -374,10 +375,10 @@ class _Search(NamedTuple):
         )
 
     def _fastest(self, arrives: float) -> _Visits:
-        """Return the visits at full speed, after a wait if they would end too early."""
+        """Return the visits at full speed, after a wait if the robot would arrive too early."""
         n = len(self.stations.seconds)
         share = np.where(self.stations.rates.any(axis=1), len(SHARES) - 1, 0)
-        # Velocities are also zero in the middle of a blend that reverses, where nothing can rest.
+        # Velocities are also zero in the middle of a blend that reverses, where the robot cannot rest.
         blended = ~np.isfinite(self.stations.seconds[np.arange(n), share[:-1], share[1:]])
         share[:-1][blended] = share[1:][blended] = len(SHARES) - 1
         at = np.append(0.0, np.cumsum(self.stations.seconds[np.arange(n), share[:-1], share[1:]]))
@@ -385,7 +386,7 @@ class _Search(NamedTuple):
         return _Visits(np.arange(n + 1), share, np.append(0.0, departs[1:]), departs)
 
     def _visits(self, horizon: float, exact: bool) -> tuple[_Visits | None, str]:
-        """Search for times up to a horizon; if there are none, describe the body in the way."""
+        """Search for times up to a horizon. If the search fails, describe the body in the way."""
         most = max(MOST_BINS // len(self.stations.knots), 2)
         count = int(np.clip(np.ceil(horizon / self.base.duration * BINS), 1, most))
         step = horizon / count
@@ -406,7 +407,7 @@ class _Search(NamedTuple):
         return visits, ""
 
     def _free(self, count: int, step: float) -> Bools:
-        """Return when stations are free, shape (stations, count + 1); sections in `closed` count as not free."""
+        """Return when stations are free, shape (stations, count + 1). Sections in `closed` count as not free."""
         knots, at = self.stations.knots, step * np.arange(count + 1) + self.window / 2
         states = np.column_stack([np.repeat(knots, len(at), axis=0), np.tile(at, len(knots))])
         parts = [self.judge.free_at(states[k : k + MANY]) for k in range(0, len(states), MANY)]
@@ -439,7 +440,7 @@ class _Search(NamedTuple):
         return float(ways[:station].sum() / ways.sum())
 
     def _close(self, visits: _Visits, proof: CertifiedTrajectory, around: int) -> bool:
-        """Close the sections that are not proven free, at their times; return whether all are near moving bodies."""
+        """Close the unproven sections at their times; return whether each failed proof involves a moving body."""
         judge, segments, moving = self.judge, proof.segments, set(self.checker.scene.following)
         times = segments.fraction * np.diff(proof.times) + proof.times[:-1] - judge.begin - self.window / 2
         for k in np.flatnonzero(segments.verdict != Verdict.FREE):
@@ -467,15 +468,15 @@ def _searched(
 ) -> tuple[_Visits | None, int, float]:
     """Search for the earliest visits of all stations, station by station.
 
-    Several ways may lead to a station at one share within one bin of time; the way with the fewest changes of the share
-    is kept.
+    Several ways may lead to a station with the same share and time bin. The way with the fewest changes of the share is
+    kept.
 
     Parameters
     ----------
     seconds : ndarray, shape (n, shares, shares)
         See `_Stations`.
     resting : ndarray of bool, shape (n + 1,)
-        Stations at which the robot is at rest in any case.
+        Stations at which the robot is always at rest.
     free : ndarray of bool, shape (n + 1, bins + 1)
         Whether the robot may be at each station at each multiple of `step` [s].
     first, last : int
@@ -487,7 +488,7 @@ def _searched(
     -------
     visits : _Visits or None
     reached : int
-        The station before the first one that the search does not reach.
+        The station before the first station that the search does not reach.
     early : float
         The earliest time at which the robot is at this station [s].
     """
@@ -516,7 +517,7 @@ def _searched(
             early = best[i][np.isfinite(best[i])]
             return None, i, float(early.min(initial=np.inf))
         change_counts = changes[i, x[pair], bin] + changing[pair]
-        kept = kept[np.lexsort((at[kept], change_counts[kept]))[::-1]]  # of equal states, the best is written last
+        kept = kept[np.lexsort((at[kept], change_counts[kept]))[::-1]]  # the best of equal states is written last
         reached = y[pair[kept]], to[kept]
         best[i + 1][reached], changes[i + 1][reached] = at[kept], change_counts[kept]
         parents[i + 1][reached] = x[pair[kept]] * bins + bin[kept]
@@ -531,11 +532,11 @@ def _searched(
 
 
 def _wait(best: Floats, changes: Ints, waits: Ints, free: Bools, step: float) -> None:
-    """Let a robot at rest wait, as long as its place is free; `waits` receives the bins of arrival."""
+    """Let a robot at rest wait as long as its place is free, and write the bins of arrival to `waits`."""
     bins = np.arange(len(best))
     halts = np.cumsum(~(free[:-1] & free[1:]))
-    # A halt is a bin at whose ends the place is not free. The best arrival since the last halt is the latest one among
-    # the arrivals with the fewest changes.
+    # A halt is a bin at whose ends the place is not free. Among the arrivals since the last halt that have the fewest
+    # changes, the latest one is the best.
     keys = np.where(np.isfinite(best), changes.astype(np.int64) * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
     keys = np.minimum.accumulate(keys - halts * 4 * MANY * MOST_BINS) + halts * 4 * MANY * MOST_BINS
     fewest = -(-keys // (2 * MOST_BINS))
@@ -561,7 +562,7 @@ def _rows(stations: _Stations, visits: _Visits) -> tuple[Floats, Floats, Floats,
     x, moving = SHARES[visits.share], np.asarray(stations.rates.any(axis=1))
     rates = x[:, None] * stations.rates
     rates[-1] = stations.rates[-1]
-    # Successive sections of one piece are joined if the robot follows them at the same share of the piece's speed.
+    # Successive sections of a piece are joined if the robot passes them at the same share of the piece's speed.
     first, last = np.where(moving[:-1], x[:-1], x[1:]), np.where(moving[1:], x[1:], x[:-1])
     waits = visits.departs > visits.arrives
     joined = (stations.piece[1:] == stations.piece[:-1]) & ~waits[1:-1] & (stations.piece[1:] >= 0)
@@ -595,7 +596,7 @@ def _averaged(moved: Trajectory, longest: float, most: Floats) -> Trajectory:
 
 
 def _averaged_over(moved: Trajectory, window: float, longest: float) -> Trajectory:
-    """Average over one window: the accelerations are differences of velocities, and the rest is integrated."""
+    """Average over one window. Accelerations are differences of velocities, and everything else is integrated."""
     ends = np.union1d(moved.times, moved.times + window)
     low, high = (np.clip(ends - shift, 0.0, moved.duration) for shift in (window, 0.0))
     bends = (moved.velocities(high) - moved.velocities(low)) / window
@@ -613,7 +614,7 @@ def _averaged_over(moved: Trajectory, window: float, longest: float) -> Trajecto
 
 
 def _delayed(moved: Trajectory, wait: float) -> Trajectory:
-    """Let a trajectory with limited jerk begin with a wait [s]."""
+    """Insert a wait [s] at the start of a trajectory with limited jerk."""
     if not wait > 0 or moved.bends is None:
         return moved
     knots, rates, bends = (np.concatenate([rows[:1], rows]) for rows in (moved.knots, moved.rates, moved.bends))
