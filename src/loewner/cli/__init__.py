@@ -1,4 +1,4 @@
-"""The command line: each command has a file of its own, and `main` combines them.
+"""The command line: each command has its own file, and `main` combines the commands.
 
 The commands are `fit`, `check`, `clearance`, `robot`, `clash`, `cover`, `judge`, `plan`, `verify`, `audit`, `swept`,
 `view`, `compile`, `info`, `paper` and `report`. The commands share `inputs`, `configurations`, `trajectories`, `jobs`

@@ -32,7 +32,7 @@ SHOWN = 5
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# A value that exceeds its limits is reported if the excess is larger than this; rounding in files is smaller.
+# A value is reported if it exceeds its limits by more than this. Rounding errors in files are smaller.
 ROUNDED = 1e-9
 
 EXAMPLES = """examples:
@@ -246,7 +246,7 @@ def _allowed(checker: loewner.CollisionChecker, pair: tuple[str, str], near: Clo
 
 
 def _deeper(allowed: list[dict[str, Any]], overlap: float) -> list[dict[str, Any]]:
-    """Return the contacts that rules allow, but that are deeper than --overlap."""
+    """Return the contacts that are allowed by rules, but deeper than --overlap."""
     return [each for each in allowed if each["nearest"] < -overlap]
 
 

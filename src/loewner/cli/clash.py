@@ -186,7 +186,7 @@ def _motion(options: argparse.Namespace) -> Floats:
 
 
 def _first(verdicts: Any, free_until: Floats, touching: Floats) -> tuple[loewner.Verdict, float | None, float | None]:
-    """Combine the answers for successive motions; motion k lasts from time k to time k + 1."""
+    """Combine the answers for successive motions. Motion k lasts from time k to time k + 1."""
     for first in np.flatnonzero(verdicts != loewner.Verdict.FREE)[:1]:
         # Contact in a later motion is certain, even if an earlier motion is AMBIGUOUS.
         hit = next(iter(np.flatnonzero(verdicts == loewner.Verdict.COLLIDING)), first)
@@ -221,7 +221,7 @@ def _limits(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _pairs(robot: loewner.Robot, scene: loewner.Scene | None, options: argparse.Namespace) -> list[Pair]:
-    """Return the pairs in question; there is at least one."""
+    """Return the pairs in question. An empty list is an error."""
     if options.between:
         return [tuple(pair) for pair in options.between]
     if options.exempt:

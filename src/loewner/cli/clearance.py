@@ -32,7 +32,7 @@ COLUMNS = ("a", "b", "verdict", "distance, m", "lower, m", "upper, m")
 
 
 class _Found(NamedTuple):
-    """The results for the pairs to report; the distance of an unsettled pair is NaN."""
+    """The results for the reported pairs. The distance of an unsettled pair is NaN."""
 
     pairs: Ints
     colliding: Bools

@@ -1,4 +1,4 @@
-"""Compile kernels in advance, on all cores; by default, each query compiles its kernels on its first call."""
+"""Compile kernels in advance, on all cores. By default, each query compiles its kernels on its first call."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from loewner._native import entries, library
 from loewner.cli import jobs
 from loewner.errors import FileError
 
-# The parts, each with the modules below `loewner._kernels`, or prefixes of module names, that define its entries.
+# For each part, the modules below `loewner._kernels` that define its entries, or prefixes of module names.
 _MODULES = {
     "verdicts": (
         "elementary",
@@ -46,8 +46,8 @@ _TOGETHER = (("verdicts", "crowds", "robots"), ("fits", "surfaces"), ("distances
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
     """Compile the kernels for this machine now, in as many processes as are useful.
 
-    Kernels that have been compiled before are only looked up, which takes a few seconds. If the native library is in
-    use, no kernels need compiling.
+    Kernels that were compiled earlier are only looked up, which takes a few seconds. If the native library is in use,
+    no kernels need to be compiled.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     MissingExtraError
         If neither the native library nor Numba is available.
     FileError
-        If a part cannot be compiled, or the folder cannot be written; the message includes the traceback.
+        If a part cannot be compiled, or the folder cannot be written. The message includes the traceback.
     """
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [[name for name in group if name in wanted] for group in _TOGETHER]
@@ -108,11 +108,11 @@ def _expect_writable(folder: Path) -> None:
 
 
 def serve_task(task: dict[str, Any], progress: Progress) -> str:
-    """Compile parts in a process of their own, since Numba compiles one function at a time; return what failed."""
+    """Compile parts in a separate process, because Numba compiles one function at a time. Return an error or ""."""
     from loewner._kernels import _jit
 
     os.environ["LOEWNER_QUIET"] = "1"
-    # Numba makes millions of small permanent objects, so that garbage collection would take a sixth of the time.
+    # Numba makes millions of small permanent objects, so garbage collection would take a sixth of the time.
     gc.set_threshold(200_000, 50, 100)
     try:
         for number, name in enumerate(task["parts"], 1):

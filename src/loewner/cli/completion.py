@@ -62,7 +62,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 
 def _parsers(parser: argparse.ArgumentParser, *names: str) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Yield the words and the parser of each command; the program itself has no words."""
+    """Yield the words and the parser of each command. The program itself has no words."""
     yield " ".join(names), parser
     for name, inner in _commands(parser).items():
         yield from _parsers(inner, *names, name)
@@ -88,7 +88,7 @@ def _bash(parsers: Parsers) -> str:
     values, words = [], []
     for command, parser in parsers:
         names = [name for option in _options(parser) for name in option.option_strings]
-        # If there are commands, they come first; without any, a word that does not begin like an option is a file.
+        # Commands come first. If there are no commands, a word that does not begin like an option is a file.
         commands, options = " ".join(_commands(parser)), " ".join(names)
         words.append(f"      {command!r}) case $cur in -*) offers={options!r} ;; *) offers={commands!r} ;; esac ;;")
         for option in _options(parser):

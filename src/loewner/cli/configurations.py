@@ -27,9 +27,9 @@ MOST_BYTES = 2**33
 
 
 def read(path: Path, robot: loewner.Robot, *, named: bool = False) -> Floats:
-    """Read the numbers of a file and put them in the order of the robot's columns; the caller checks their shape.
+    """Read the numbers of a file and put them in the order of the robot's columns. The caller checks their shape.
 
-    If `named`, the file must name its columns, as files from `write` do and .npy files cannot.
+    If `named`, the file must name its columns, as files from `write` do. A .npy file cannot name columns.
     """
     suffix = path.suffix.lower()
     if suffix not in READ:
@@ -76,7 +76,7 @@ def is_path(path: Path, times: Sequence[str]) -> bool:
 
 
 def write(path: Path, names: Sequence[str], rows: Floats) -> None:
-    """Write a path and the names of its columns atomically; reading the file gives the same numbers."""
+    """Write a path and the names of its columns atomically. Reading the file returns the same numbers."""
     numbers = rows.tolist()
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
@@ -88,7 +88,7 @@ def write(path: Path, names: Sequence[str], rows: Floats) -> None:
 
 
 def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None) -> Floats:
-    """Read one or more configurations from a state's name, a file, or numbers; the caller checks the shape.
+    """Read one or more configurations from a state's name, a file, or numbers. The caller checks the shape.
 
     Joints that a state does not name keep their values in `start`.
     """
@@ -121,7 +121,7 @@ def rows_of(text: str) -> list[list[str]]:
 
 
 def _has_header(rows: list[list[str]], names: Sequence[str] = ()) -> bool:
-    """Return whether the first row of a table names the columns; the name of a joint may be a number."""
+    """Return whether the first row of a table names the columns. The name of a joint may be a number."""
     return bool(rows) and (sorted(rows[0]) == sorted(names) or not any(_are_numbers([cell]) for cell in rows[0]))
 
 

@@ -41,7 +41,7 @@ def add_options(plan: argparse.ArgumentParser) -> None:
 
 
 def refuse_unused(options: argparse.Namespace) -> None:
-    """Refuse options of drives if there is no base; with a base, refuse options that only other plans take."""
+    """Refuse options of drives if there is no base. With a base, refuse options that only other plans take."""
     if options.base is None:
         inputs.refuse(options, OF_DRIVES, "{}: expected --base with it")
     else:
@@ -105,7 +105,7 @@ def _on_a_base(robot: loewner.Robot, bounds: Floats | None) -> loewner.Robot:
 
 
 def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, others: Floats) -> Floats:
-    """Read a configuration; three numbers are a pose of the base, with the other joints as given."""
+    """Read a configuration. Three numbers are a pose of the base; `others` then has the other joints' values."""
     try:
         pose = finite_array(_tables.row(text), name, (3,))
     except ValueError:  # not three numbers
@@ -116,7 +116,7 @@ def _end(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot
 
 
 def _write(path: Path, drive: planners.Drive) -> None:
-    """Write the configurations at which motions begin, with lengths and turns; the last row is the goal."""
+    """Write the configurations at which motions begin, with lengths and turns. The last row is the goal."""
     if path.suffix.lower() == ".csv":
         motions = np.concatenate([drive.motions, np.zeros((1, 2))])
         configurations.write(path, (*drive.names, "length", "turn"), np.column_stack([drive.path, motions]))

@@ -75,13 +75,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
-    """Fit the meshes in one or more processes; print tables of the bodies and of the failures."""
+    """Fit the meshes in one or more processes. Print tables of the bodies and of the failures."""
     count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
     with told_to([]), suppress(GeometryError):  # a refused option need not be reported for each mesh
         inputs.from_mesh(TETRAHEDRON, options, tol=options.tol, progress=_validate.silent)
     made_folder(_validate.path(options.out, "--out"))
     rows, failed = dict[int, list[str]](), dict[int, str]()
-    # If a process is killed while it writes a file, the partial file stays in this temporary folder.
+    # If a process is killed while it writes a file, the partial file remains in this temporary folder.
     with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
         temporary_files = [Path(unfinished) / target.name for target in targets]
         making = {name: getattr(options, name) for name in MAKING}
@@ -116,7 +116,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
 
 
 def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
-    """Make the body of a mesh and save it, in a separate process; return the outcome and a row for the table."""
+    """Make the body of a mesh and save it, in a separate process. Return the outcome and a row for the table."""
     row: list[str] = []
 
     def fit() -> Outcome:
@@ -130,7 +130,7 @@ def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
 
 
 def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
-    """Return the outcome of a process and its row of the table; the outcome shows if the process died."""
+    """Return the outcome of a process, and its row of the table. A process that died has failed."""
     if answer is None:
         text = f"{shown(mesh)}: the process that fitted it died; it may take more memory than there is"
         return Outcome("failed", text), []
@@ -146,7 +146,7 @@ def _moved(made: Path, target: Path) -> Outcome:
 
 
 def _on_a_cluster(options: argparse.Namespace) -> int:
-    """Fit all meshes on the workers of a cluster; print a table of the failures."""
+    """Fit all meshes on the workers of a cluster. Print a table of the failures."""
     from loewner import cluster
 
     model = inputs.model(options)
@@ -163,7 +163,7 @@ def _on_a_cluster(options: argparse.Namespace) -> int:
 
 
 def _summary(done: str, failed: Mapping[Path, str]) -> int:
-    """Print the number of finished meshes and the failed ones; return the exit status."""
+    """Print the number of finished meshes, and the failed meshes. Return the exit status."""
     print(f"{done}, {len(failed)} failed")
     if failed:
         rows = [(shown(mesh), text.removeprefix(f"{shown(mesh)}: ")) for mesh, text in failed.items()]

@@ -34,7 +34,7 @@ def expect_suffix(path: Path | None, option: str, endings: Sequence[str]) -> Non
 
 
 def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> None:
-    """Refuse options that would silently be ignored; the message has a placeholder for the option."""
+    """Refuse options that would silently be ignored. The message has a placeholder for the option."""
     for name in names:
         if getattr(options, name) != options.default(name):
             raise InputError(message.replace("{}", f"--{name.replace('_', '-')}", 1))
@@ -43,7 +43,7 @@ def refuse(options: argparse.Namespace, names: Iterable[str], message: str) -> N
 def command(
     commands: Any, name: str, what: str, examples: str, run: Callable[[argparse.Namespace], int] | None = None
 ) -> argparse.ArgumentParser:
-    """Add a command whose help ends with examples; unless it has commands of its own, `run` runs it."""
+    """Add a command whose help ends with examples. Unless the command has subcommands, `run` runs it."""
     raw = argparse.RawDescriptionHelpFormatter
     added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
     added.set_defaults(default=added.get_default, run=run, makes_folder=False)
@@ -51,7 +51,7 @@ def command(
 
 
 class Adders(NamedTuple):
-    """Functions that add to a parser, or to a group, an option of any kind, a file, a length in metres, or a flag."""
+    """Functions that add options to a parser or a group: options of any kind, files, lengths in metres, and flags."""
 
     option: Callable[..., Any]
     file: Callable[..., Any]
@@ -69,7 +69,7 @@ def adders(parser: Any) -> Adders:
 # Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
-# Names, in the library, of the options for pieces and of the options for surfaces.
+# The names that options for pieces, and options for surfaces, have in the library.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
@@ -142,7 +142,7 @@ def add_robot_files(parser: Any, scene: str | None = SCENE_HELP) -> None:
 
 
 def bodies(paths: Sequence[Path], options: argparse.Namespace) -> Iterator[loewner.Body]:
-    """Yield saved bodies and the bodies of meshes, in the given order; mesh options require a mesh."""
+    """Yield saved bodies and the bodies of meshes, in the given order. Mesh options require at least one mesh."""
     if all(path.suffix.lower() == ".npz" for path in paths):
         file_names = ", ".join(path.name for path in paths)
         of_meshes = ("model", *OF_SURFACES, *OF_PIECES, "scale", "hull")
@@ -268,7 +268,7 @@ def largest_margin(scene: loewner.Scene) -> float:
 
 
 def checker(options: argparse.Namespace, robot: loewner.Robot, scene: loewner.Scene) -> loewner.CollisionChecker:
-    """Make a checker; refuse a robot without pairs to check, since every configuration would count as free."""
+    """Make a checker. Refuse a robot without pairs to check, for which every configuration would count as free."""
     new_checker = loewner.CollisionChecker(robot, scene)
     if not new_checker.checked_pairs:
         raise InputError(
@@ -279,7 +279,7 @@ def checker(options: argparse.Namespace, robot: loewner.Robot, scene: loewner.Sc
 
 
 def row(text: str, wanted: str, kind: type[InputError] = InputError) -> list[float]:
-    """Read numbers from a text; if that is impossible, the message begins with `wanted`."""
+    """Read numbers from a text. If this fails, the error message begins with `wanted`."""
     try:
         return _tables.row(text)
     except ValueError as error:

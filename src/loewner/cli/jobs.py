@@ -1,7 +1,7 @@
-"""Distribute files to several processes, one file at a time to each; if a process dies, only its file is lost.
+"""Distribute files to several processes, one file at a time. If a process dies, only its current file is lost.
 
-Each process is a new interpreter that reads tasks from its standard input and writes answers to its standard output;
-every task and answer is a line of JSON. A process ends when its input ends: when there is no more work, or when the
+Each process is a new interpreter that reads tasks from its standard input and writes answers to its standard output.
+Every task and every answer is a line of JSON. A process ends when its input ends: when all work is done, or when the
 parent process has ended for any reason.
 """
 
@@ -39,7 +39,7 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Generator
     tasks : sequence of dict
         The tasks, with values that JSON can represent.
     jobs : int
-        Largest number of processes at a time; together, the processes use as many threads as this process may use.
+        Largest number of processes at a time. Together, the processes use as many threads as this process may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()
@@ -57,11 +57,11 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Generator
 
 
 class _Pool:
-    """The running processes, kept so that all of them can be ended."""
+    """The running processes, so that all of them can be ended."""
 
     def __init__(self, entry: str, threads: int) -> None:
         home = str(Path(loewner.__file__).parent.parent)
-        # An interrupt reaches all processes of a terminal; here, only the parent reacts to it.
+        # An interrupt reaches all processes of a terminal, but only the parent reacts to it.
         self._command = [
             sys.executable, "-P", "-c",
             "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; "
@@ -82,7 +82,7 @@ class _Pool:
             return process
 
     def end(self) -> None:
-        """End all processes at once."""
+        """End all processes immediately."""
         with self._lock:
             self._ended = True
             for process in self._running:
@@ -92,7 +92,7 @@ class _Pool:
 
 
 def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[int], said: SimpleQueue[Any]) -> None:
-    """Give tasks to one process, one by one; if it dies, continue with a new process."""
+    """Give tasks to a process, one by one. If the process dies, continue with a new process."""
     process = None
     try:
         while True:
@@ -111,7 +111,7 @@ def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[i
 
 
 def _reports(process: subprocess.Popen[str], place: int, task: dict[str, Any]) -> Iterator[Event]:
-    """Give a task to a process, and yield its reports; if the process died, clean up."""
+    """Give a task to a process, and yield its reports. If the process died, clean up."""
     assert process.stdin is not None
     assert process.stdout is not None
     yield Event("begun", place)
@@ -131,7 +131,7 @@ def _reports(process: subprocess.Popen[str], place: int, task: dict[str, Any]) -
 
 
 def _serve(entry: str) -> None:
-    """Run the main loop of a process, which answers the tasks that arrive; text that a task prints is not an answer."""
+    """Run the main loop of a process, which answers tasks. Text that a task prints goes to standard error."""
     from importlib import import_module
 
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")

@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _judged(named: Pairs, bodies: Any, poses: Any, answers: Any, tolerance: float) -> Judgement:
-    """Judge all rows; rows about the same two bodies are judged together."""
+    """Judge all rows. Rows about the same two bodies are judged together."""
     places: dict[tuple[str, str], list[int]] = {}
     for k, pair in enumerate(named):
         places.setdefault(pair, []).append(k)
@@ -116,7 +116,7 @@ def _reordered(said: Judgement, rows: Sequence[dict[str, Any]], poses: Sequence[
 
 
 def _bodies(options: argparse.Namespace) -> dict[str, loewner.Body]:
-    """Load the bodies; return them by the names of their files without endings."""
+    """Load the bodies, and return them keyed by the names of their files without endings."""
     if not options.files:
         raise InputError("FILE: expected one or more bodies with --answers, found none")
     names = [path.stem for path in options.files]
@@ -200,7 +200,7 @@ def _pair(row: dict[str, Any], bodies: dict[str, loewner.Body], where: str) -> t
 
 
 def _numbers(value: Any, where: str) -> list[float]:
-    """Return the numbers in a cell; an empty cell has none."""
+    """Return the numbers in a cell. An empty cell has no numbers."""
     if isinstance(value, str):
         words = value.split()
         try:
@@ -247,7 +247,7 @@ def _answers(rows: Sequence[dict[str, Any]], path: Path) -> dict[str, Floats]:
 
 
 def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any, answers: Any, tolerance: float) -> str:
-    """Write a program about the worst answer for two hulls, or the answer in the given row; return a line about it."""
+    """Write a program about the worst answer for two hulls, or about the answer in the given row. Describe it."""
     path, rows = options.program, said.worst().tolist()
     if options.row is not None:
         if options.row - 1 not in rows:
@@ -270,7 +270,7 @@ def _program(options: Any, said: Judgement, named: Any, bodies: Any, poses: Any,
 
 
 def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
-    """Describe the body that was made from each file and judged; add a note if a hull would be the same body."""
+    """Describe the body that was made from each file. Add a note if the hull would be the same body."""
     descriptions = {}
     for name, body in {id(body): (name, body) for name, body in bodies.items()}.values():
         descriptions[name] = repr(body)[len("Body(") : -1]
@@ -281,7 +281,7 @@ def _described(bodies: dict[str, loewner.Body]) -> dict[str, str]:
 
 
 def _is_convex(vertices: Any, triangles: Any) -> bool:
-    """Return whether a closed mesh is its own hull; the result informs the reader, and no finding depends on it."""
+    """Return whether a closed mesh is its own hull. The result informs the reader; no finding depends on it."""
     from scipy.spatial import ConvexHull  # not needed by other commands, which start faster without it
 
     corners = (vertices - vertices.mean(axis=0))[triangles]

@@ -8,8 +8,8 @@ The exit statuses are:
 - 3: ambiguous (only for ``loewner check --method certified``, ``plan``, ``clash``, ``cover``, ``judge`` and ``audit``).
 - 4: free, but beyond a limit of the robot (only for ``audit``).
 
-For ``loewner report rerun``, 1 means that answers differ. The status stays the same if the program that reads the
-output ends before it has read everything (``| head``).
+For ``loewner report rerun``, 1 means that answers differ. The status does not change if the program that reads the
+output ends early (``| head``).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from loewner.scenes.files.schema import SCHEMA_FILE
 OUTPUTS = {"out", "proof", "csv", "json", "picture", "program", "screenshot", "write_srdf"}
 UPDATED = {"write_srdf", "srdf"}
 
-# Options that have other names than the arguments of Python to which their values go.
+# Options whose names differ from the names of the Python arguments that receive their values.
 OPTION_OF = {
     "T_world_a": "pose-a", "T_world_b": "pose-b", "about": "at", "client": "scheduler", "format": "for",
     "joints": "largest", "link": "goal-pose", "pairs": "between", "poses": "motion", "path": "screenshot", "t": "at",
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_option(text: str, words: Sequence[str]) -> str:
-    """Let an error about an argument of Python begin with the option of the command line that was given for it."""
+    """Let an error about a Python argument begin with the command-line option that was given for this argument."""
     name, colon, rest = text.partition(": ")
     used = {word.partition("=")[0] for word in words}
     option = next((one for one in (_flag(name), _flag(OPTION_OF.get(name, name))) if one in used), "")
@@ -120,7 +120,7 @@ def _flag(name: str) -> str:
 
 
 def _expect_separate_files(options: argparse.Namespace) -> None:
-    """Refuse, before the work begins, to write a file that is read or written anyway, or in a folder that is missing.
+    """Refuse an output file that another option names as well, or whose folder is missing, before the work begins.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _expect_separate_files(options: argparse.Namespace) -> None:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    """Return whether two paths lead to the same place; False for names that no file system accepts."""
+    """Return whether two paths lead to the same place. The result is False for names that no file system accepts."""
     try:
         return os.path.realpath(path) == os.path.realpath(other)
     except (OSError, ValueError):
@@ -157,7 +157,7 @@ def _words(arguments: Any) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that does not mistake arguments that begin like negative numbers for options, also in subcommands.
+    """A parser, also for subcommands, that accepts arguments which begin like negative numbers.
 
     Before Python 3.14, argparse recognises "-0.5" as a number, but treats "-0.5,0.3" and "-5e-1" as unknown options. An
     error about numbers without quotes includes a hint.
@@ -168,7 +168,7 @@ class _Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Report unknown options here, with the usage of the command to which they were given."""
+        """Report unknown options here, with the usage of the command that received them."""
         options, unknown = super().parse_known_args(args, namespace)
         if unknown and self.get_default("run"):
             near = get_close_matches(unknown[0], re.findall(r"--[\w-]+", self.format_usage()), 1, 0.75)
@@ -205,7 +205,7 @@ def _parser() -> argparse.ArgumentParser:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning immediately, on a line of its own, since the work that causes it may take minutes."""
+    """Print each warning immediately, on a separate line, since the work that causes it may take minutes."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         print(f"loewner: warning: {message}", file=sys.stderr, flush=True)

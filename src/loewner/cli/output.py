@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-# Exit statuses: done or free; at least one collision; an error; undecided by the ellipsoids.
+# Exit statuses. FREE also means that a command is done; COLLIDING means at least one collision.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 # Exit statuses by the name of a verdict.
@@ -35,7 +35,7 @@ WORST_FIRST = ("COLLIDING", "AMBIGUOUS", "FREE")
 # Number of configurations of each motion, including its ends, for which the distance of the nearest pair is measured.
 MEASURED = 33
 
-# Largest overlap [m] of bodies in a contact that rules allow; it is well above tolerances and errors of poses.
+# Largest overlap [m] of bodies in a contact that rules allow, well above tolerances and errors of poses.
 OVERLAP = 1e-3
 
 # Width [characters] of standard output that is not a terminal, larger than any table.
@@ -70,7 +70,7 @@ class PrintPath(argparse.Action):
 class _Descriptor(io.FileIO):
     """A file that discards all further output once it cannot be written.
 
-    If a reader has ended early (`| head`), the exit status is unaffected; any other reason is kept in `fault`.
+    A reader that has ended early (`| head`) does not affect the exit status. Any other reason is kept in `fault`.
     """
 
     fault: OSError | None = None
@@ -88,8 +88,7 @@ class _Descriptor(io.FileIO):
 
 @contextmanager
 def standard_output() -> Iterator[None]:
-    """Keep standard output usable after its reader has ended, and escape characters that its encoding lacks, for
-    example in file names.
+    """Keep standard output usable after its reader has ended, and escape characters that its encoding lacks.
 
     Raises
     ------
@@ -144,7 +143,7 @@ def remove_older_proof(path: Path | None) -> None:
 
 
 class NoProgress(nullcontext["NoProgress"]):
-    """A replacement for the progress bar that shows nothing, used if Rich is not installed."""
+    """A progress bar that shows nothing, which is used if Rich is not installed."""
 
     def __init__(self) -> None:
         super().__init__(self)
@@ -216,7 +215,7 @@ def pairs_of(checker: loewner.CollisionChecker) -> dict[str, int]:
 
 
 def nearest_pairs(measured: loewner.StateDistance) -> list[dict[str, Any]]:
-    """Return the least distance on each motion with its pair; a row of `measured` has configurations of one motion."""
+    """Return the least distance on each motion, with its pair. Each row of `measured` belongs to one motion."""
     least = enumerate(measured.distance.argmin(axis=1))
     return [{"nearest": float(measured.distance[at]), "nearest_pair": measured.names[at].tolist()} for at in least]
 
@@ -228,7 +227,7 @@ def heading(answer: dict[str, Any]) -> str:
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:
-    """Print a table on standard output, in plain text if Rich is not installed; rows may have fewer cells."""
+    """Print a table on standard output, in plain text if Rich is not installed. Rows may have missing cells."""
     try:
         from rich.table import Table
     except ImportError:

@@ -208,7 +208,7 @@ def _found(
 
 
 def _numbers(name: str, text: str) -> list[float] | float:
-    """Read the numbers of an option; a single --velocity applies to all joints."""
+    """Read the numbers of an option. A single --velocity applies to all joints."""
     numbers = inputs.row(text, f"{name}: expected numbers")
     return numbers[0] if len(numbers) == 1 and name == "--velocity" else numbers
 

@@ -51,12 +51,11 @@ OPTIONS: dict[str, dict[str, type]] = {
 }
 USUAL: dict[str, Any] = {"margin": 0.0, "scale": 1.0, "hull": False, "decompose": False, "usual_model": "surface"}
 
-# The member with the options, the versions and the answers; the names of members contain only characters that `PLAIN`
-# matches.
+# The member with the options, the versions and the answers. The names of all members match `PLAIN`.
 DOCUMENT, FORMAT, VERSION = "report.json", "loewner-report", 1
 PLAIN = re.compile(r"\w[\w.-]*", re.ASCII)
 
-# Limits on a report: the bytes of the archive, and of all members together; and the number of members.
+# Limits on a report: the number of bytes of the archive, and of all members together, and the number of members.
 MOST_BYTES, MOST_MEMBERS = 2**30, 10_000
 
 # Largest number of characters of an answer that a table shows.
@@ -95,7 +94,7 @@ def _write(options: argparse.Namespace) -> int:
         if (size := sum(member.stat().st_size for member in members)) > MOST_BYTES or len(members) > MOST_MEMBERS:
             raise InputError(f"expected inputs of at most {MOST_BYTES} bytes, found {size} in {len(members)} files")
         with replacing(options.out) as target, zipfile.ZipFile(target, "x") as archive:
-            for member in members:  # dates are left out, so that the same query gives the same file
+            for member in members:  # dates are omitted, so that the same query gives the same file
                 archive.writestr(zipfile.ZipInfo(member.name), member.read_bytes(), zipfile.ZIP_DEFLATED)
     rows = [(name, _shown(value)) for name, value in answers.items()]
     print_table(("answer", "here"), rows, f"loewner report {options.query}")
@@ -115,7 +114,7 @@ def _rerun(options: argparse.Namespace) -> int:
 
 
 def rerun(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read a report and rerun its query; return the document of the report, and the answers on this machine.
+    """Read a report and rerun its query. Return the document of the report, and the answers on this machine.
 
     Raises
     ------
@@ -209,7 +208,7 @@ def _unpacked(path: Path, folder: Path) -> dict[str, Any]:
 
 
 def _fault(document: Any) -> str:
-    """Describe the first fault of a document; empty if there is none."""
+    """Describe the first fault of a document, or return ""."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         return f'expected "format": "{FORMAT}", found another kind of file'
     texts = {key: _validate.short(document.get(key)) for key in ("version", "query", "options", "versions", "answers")}
@@ -232,7 +231,7 @@ def _fault(document: Any) -> str:
 
 
 def _answered(query: str, folder: Path, kept: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a query on the inputs in a folder; error messages do not name the folder."""
+    """Run a query on the inputs in a folder. Error messages do not name the folder."""
     options = argparse.Namespace(**(dict.fromkeys(OPTIONS["check"]) | USUAL | dict(kept)))
     try:
         return {"check": _of_pair, "robot": _of_robot}[query](options, folder)
@@ -294,7 +293,7 @@ def _measured(found: Any) -> dict[str, Any]:
 
 
 def _names(verdicts: Any) -> Any:
-    """Return the names of verdicts; an exact answer is a boolean."""
+    """Return the names of verdicts. An exact answer is a boolean."""
     return [_names(each) for each in verdicts] if np.ndim(verdicts) else Verdict(int(verdicts)).name
 
 
@@ -312,7 +311,7 @@ def _checksum(body: loewner.Body) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions on which answers may depend; nothing here identifies a machine or a user."""
+    """Return the versions on which answers may depend. The result does not identify a machine or a user."""
     level = library.level()
     return {
         "loewner": loewner.__version__,
@@ -332,7 +331,7 @@ def _shown(value: Any) -> str:
 
 
 def _both(there: Any, here: Any) -> tuple[str, str]:
-    """Show two answers; lists and objects are shown by the first entries that differ."""
+    """Format two answers. For lists and objects, format the first entries that differ."""
     if isinstance(there, dict) and isinstance(here, dict):
         there, here = list(there.items()), list(here.items())
     if isinstance(there, list) and isinstance(here, list):

@@ -36,10 +36,10 @@ TIERS = {
 # solids, a box takes twenty times as long, and fewer boxes are examined.
 BOXES, BOXES_OF_SOLIDS = 200_000, 10_000
 
-# Number of random configurations; a pair that collides in all of them is reported.
+# Number of random configurations. A pair that collides in all of them is reported.
 TRIED = 64
 
-# Shortest time from which rates are computed [s]: starting the first large batch takes about 10 ms more.
+# Shortest time from which rates are computed [s], because the first large batch takes about 10 ms longer to start.
 LEAST_TIMED = 0.1
 
 EXAMPLES = """examples:

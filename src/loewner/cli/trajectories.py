@@ -26,7 +26,7 @@ Part = planners.ControllerPoints | Floats
 
 
 def add_input(command: argparse.ArgumentParser) -> None:
-    """Add the trajectory of commands about it, the joint error, and the options for reading the trajectory."""
+    """Add the argument for a trajectory, the joint error, and the options for reading the trajectory."""
     _, file, length, _ = inputs.adders(command)
     file("trajectory", help="points with times, or a path (.csv, .json, .yaml)")
     add_options(command)
@@ -73,7 +73,7 @@ def read(
             # The robot may carry only bodies that the scene or --attach assigns to it.
             attached = {body: each.link for body, each in scene.attachments.items()} | held
             curves.expect_carried(attached, [*points.carried.items(), *((body, "") for body in points.origin.free)])
-            # The parts begin one after another.
+            # Each part begins when the previous part ends.
             points.start_time = points.start_time if clock is None else clock
             clock = points.start_time + float(points.times[-1])
         elif options.start_time is not None:
@@ -89,7 +89,7 @@ def carried(
     robot: loewner.Robot,
     arrive: Callable[[int], None] = lambda number: None,
 ) -> Iterator[Part]:
-    """Yield each part while links carry its bodies; afterwards, the bodies stay at the poses that they have reached.
+    """Yield each part while links carry its bodies. Afterwards, the bodies stay at the poses that they have reached.
 
     Before links take the bodies of a part, `arrive` is called with the number of the part.
     """
@@ -178,7 +178,7 @@ def _derivatives(points: planners.ControllerPoints) -> int:
 
 
 def _executed(points: planners.ControllerPoints, controller: str | None) -> planners.ControllerPoints:
-    """Return the points with as many derivatives as a controller uses."""
+    """Return the points with only the derivatives that a controller uses."""
     held = [points.velocities, points.accelerations]
     used = _derivatives(points) if controller is None else CONTROLLERS.index(controller)
     if any(one is None for one in held[:used]):

@@ -128,7 +128,7 @@ def _entry(report: verify.Report, faults: list[str]) -> dict[str, Any]:
 
 
 def _difference(report: verify.Report, path: Path) -> str:
-    """Describe the first difference between the motions and a path; empty if there is none."""
+    """Describe the first difference between the motions and a path, or return ""."""
     if report.ranges:
         return "the proof is about ranges, not motions"
     if not report.deviations:

@@ -132,7 +132,7 @@ def _seconds(text: str) -> float:
 
 
 def _played(options: argparse.Namespace, scene: loewner.Scene, robot: loewner.Robot) -> trajectories.Part:
-    """Read the trajectory to play; put bodies of the scene where earlier parts leave them, or attach them to links."""
+    """Read the trajectory to play. Put bodies of the scene where earlier parts leave them, or attach them to links."""
     parts = trajectories.read(options, scene, robot)
     number = 1 if options.part is None and len(parts) == 1 else options.part
     if number is None or not 1 <= number <= len(parts):

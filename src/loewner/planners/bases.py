@@ -139,7 +139,7 @@ class Base:
     def free(self, poses: Floats, ways: Floats) -> Bools:
         """Return which ways, shape (N, motions, 2), from poses, shape (N, 3), are proven free and within the limits.
 
-        The midpoints and ends of motions are tried first: if one of these poses collides, the way needs no proof.
+        The midpoints and ends of motions are tried first: if such a pose collides, the way needs no proof.
         """
         places = driven(poses, ways[..., 0], ways[..., 1])
         begins, ends = places[:, :-1], places[:, 1:]

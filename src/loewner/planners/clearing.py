@@ -173,7 +173,7 @@ class Clearing:
         return motion, Q, counts, (k == 0) | (k == counts[motion])
 
     def _densities(self, Q: Floats, gradient: bool = False) -> tuple[Floats, Floats]:
-        """Compute the costs per length at configurations and, if requested, the gradients of these costs."""
+        """Compute the costs per length at configurations and, if requested, their gradients."""
         slopes = np.zeros_like(Q)
         if len(self.ready.pairs) == 0 or len(Q) == 0:
             return np.ones(len(Q)), slopes

@@ -573,7 +573,7 @@ def _is_far(T: Floats, other: Floats) -> bool:
 def _stated(
     part: messages.Part, points: ControllerPoints, name: str, robot: Robot | None
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Return a message's values for columns that the points do not name, and the keys of these values.
+    """Return a message's values for columns that the points do not name, and each value's key.
 
     A value that belongs to no column is refused. Without a robot, it is accepted if it is 0.
     """

@@ -39,7 +39,7 @@ class KeptAxis:
     record : Record, optional
         The kernels' arrays, for the chain of joints that leads to the link.
     table : ndarray of int64, optional
-        The table of these arrays.
+        The table of the kernels' arrays.
     """
 
     axis: Floats

@@ -20,9 +20,9 @@ from loewner._base._validate import Floats
 from loewner.errors import FileError, InputError
 
 # Treatments of fields that are not messages of a type below. USED: the code for the message's type reads the field.
-# HARMLESS: the field has no effect on the joints and the bodies of a robot. TOLD: a warning mentions the field unless
+# HARMLESS: the field has no effect on the joints and the bodies of a robot. WARNED: a warning mentions the field unless
 # it is empty. ANY: the field is a message of any type that has no ANY field itself.
-USED, HARMLESS, TOLD, ANY = "used", "harmless", "told", "any"
+USED, HARMLESS, WARNED, ANY = "used", "harmless", "warned", "any"
 
 
 def _harmless(*keys: str) -> dict[str, str]:
@@ -42,7 +42,7 @@ TYPES: dict[str, dict[str, str]] = {
     ),
     "PlanningSceneWorld": {"collision_objects": USED, "octomap": USED},
     "PlanningScene": {
-        "robot_state": "RobotState", "robot_model_name": USED, "link_padding": TOLD, "link_scale": TOLD,
+        "robot_state": "RobotState", "robot_model_name": USED, "link_padding": WARNED, "link_scale": WARNED,
         "world": "PlanningSceneWorld",
         # The frames belong to bodies in the message's world, which is not read. The matrix lists fewer pairs than are
         # checked here. This is_diff refers to the world; a state has a separate is_diff.
@@ -65,7 +65,7 @@ TYPES: dict[str, dict[str, str]] = {
         "start_state": "RobotState", "solution": "RobotTrajectory", **_harmless("fraction", "error_code"),
     },
     "MoveGroupResult": {
-        "trajectory_start": "RobotState", "planned_trajectory": "RobotTrajectory", "executed_trajectory": TOLD,
+        "trajectory_start": "RobotState", "planned_trajectory": "RobotTrajectory", "executed_trajectory": WARNED,
         **_harmless("error_code", "planning_time"),
     },
     "ExecuteTrajectoryGoal": {"trajectory": "RobotTrajectory", "controller_names": HARMLESS},
@@ -253,7 +253,7 @@ def _walk(node: Node, name: str, found: Message, state: State) -> None:
                 continue
             if of == USED:
                 found.robots.append(keys[key].text())
-            elif of == TOLD:
+            elif of == WARNED:
                 found.warnings.append(f"{keys[key].key} is not read")
             else:
                 listed = _listed(keys[key])

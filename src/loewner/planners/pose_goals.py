@@ -223,7 +223,7 @@ class PoseGoal:
         return rows
 
     def _joints(self, robot: Robot) -> list[str]:
-        """Return the joints that move the link, the default for plans. Other joints, say fingers, keep their values."""
+        """Return the joints that move the link, the default for plans. Other joints (fingers) keep their values."""
         chain = chain_to(robot, self.link)
         moving = set(chain.columns[chain.moving].tolist())
         return [name for name in robot.joint_names if moving & set(range(robot.dof)[robot._columns[name]])]

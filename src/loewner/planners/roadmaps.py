@@ -52,9 +52,9 @@ class _Links(NamedTuple):
     Attributes
     ----------
     nodes, lengths : ndarray, shape (s,)
-        The nodes to which motions from the start lead, and the lengths of these motions.
+        The nodes to which motions from the start lead, and the motions' lengths.
     goals, from_nodes, to_lengths : ndarray, shape (g,)
-        For each motion to a goal: the goal, the node at which the motion begins, and the length of the motion.
+        For each motion to a goal: the goal, the node at which the motion begins, and the motion's length.
     """
 
     nodes: Ints

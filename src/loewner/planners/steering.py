@@ -177,7 +177,7 @@ def _curves(same: Polar, other: Polar, turn: Floats) -> list[Word]:
 
 
 def _with_quarter(same: Polar, other: Polar, turn: Floats, quarter: Floats) -> list[Word]:
-    """Return the words of four motions, of which the second one is a quarter of a circle: (8.9) and (8.10)."""
+    """Return the words of four motions whose second motion is a quarter of a circle: (8.9) and (8.10)."""
     far = _root(same.distance**2 - 4.0)
     t = _wrapped(same.angle + arctan2(far, -2.0))
     words: list[Word] = [("LRSL", (t, quarter, 2.0 - far, _wrapped(turn - HALF / 2.0 - t)))]

@@ -238,7 +238,7 @@ class Trajectory(KeepsReadOnly):
     def _positions(self, k: Any, x: Floats, T: Floats) -> Floats:
         if self.bends is not None and not self.jumps:
             return self._cubics(k, x, T)
-        # Weighted means of control points stay in the hull of these points, and are exact at both ends.
+        # Weighted means of control points stay in the points' convex hull, and are exact at both ends.
         (a, *inner, b), y = self._control_points(k, T), 1 - x
         if len(inner) == 0:
             return np.asarray(y * a + x * b)
@@ -679,7 +679,7 @@ class Trajectory(KeepsReadOnly):
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Return each time's piece, and the fraction and the duration of the piece, both with an axis for joints."""
+        """Return the piece of each time, the fraction of the piece, and its duration. Both have an axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())

@@ -85,7 +85,7 @@ class Triangles:
 
 @dataclass(frozen=True)
 class Points:
-    """Balls of one radius around points, shape (n, 3) [m]."""
+    """Balls of equal radius around points, shape (n, 3) [m]."""
 
     points: Floats
     radius: float
@@ -184,7 +184,7 @@ class Drawing:
         return spanned(part.box(T) for part in self._pieces)
 
     def show(self, shown: dict[str, bool]) -> None:
-        """Switch layers on and off; pieces become transparent if layers inside them are shown."""
+        """Switch layers on and off. Pieces become transparent if layers inside them are shown."""
         wanted = {layer for layer in LABELS if shown.get(layer, False)}
         if "meshes" in wanted and not self._made("meshes"):
             wanted = wanted - {"meshes"} | {"pieces"}
@@ -195,8 +195,7 @@ class Drawing:
         self.see_through(self._clear)
 
     def see_through(self, clear: bool) -> None:
-        """Make the pieces transparent, so that marks inside them can be seen, or make them opaque again unless layers
-        inside them are shown."""
+        """Make the pieces transparent, to show marks inside them, or opaque, unless layers inside them are shown."""
         self._clear = clear
         for name in self._layers.get("pieces", ()):
             if hasattr(self._nodes[name], "opacity"):  # points have no opacity
@@ -221,7 +220,7 @@ class Drawing:
         return [] if mesh is None or not len(mesh[1]) else [Triangles(*mesh)]
 
     def _made(self, layer: str) -> list[str]:
-        """Return the names of a layer's nodes, made when they are first needed; empty if there is nothing to draw."""
+        """Return the names of a layer's nodes, which are made when they are first needed. An empty layer has none."""
         if layer not in self._layers:
             look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
             if layer == "pieces" and any(piece.kind in ("surface", "solid") for piece in self._body.pieces):
@@ -287,7 +286,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 
 def parts(body: Body) -> list[Part]:
-    """Make the shapes for a body's pieces: one for all triangles, one per point cloud, one per large set of balls."""
+    """Make the shapes for a body's pieces: one for all triangles, one per point cloud, and one for many balls."""
     packed = packed_of(body)
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
@@ -331,7 +330,7 @@ def pieces(body: Body) -> Mesh:
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
-    """Return the triangles of all inner, or all outer, ellipsoids of a body, in its frame; points are omitted."""
+    """Return the triangles of all inner, or all outer, ellipsoids of a body, in its frame. Points are omitted."""
     return joined(of_ellipsoids(packed_of(body), which).values())
 
 

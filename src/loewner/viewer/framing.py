@@ -15,7 +15,8 @@ from loewner.viewer.drawing import spanned
 # section has SECTION cells.
 GRID_SIDE, LEAST_CELLS, SECTION = 2.5, 20, 5
 
-# A scene rests on z = 0 unless it is below z = 0, or above it by more than this fraction of the view's diagonal.
+# A scene counts as resting on z = 0 unless it is below z = 0, or above it by more than this fraction of the view's
+# diagonal.
 ON_GROUND = 0.1
 
 
@@ -28,7 +29,7 @@ def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
         Lowest and highest corner.
     others : iterable of ndarray, shape (2, 3)
     most : float
-        A box, such as the box of a floor, is left out if it would lengthen the diagonal by more than this factor.
+        A box, such as the box of a floor, is omitted if it would lengthen the diagonal by more than this factor.
 
     Returns
     -------
@@ -44,7 +45,7 @@ def diagonal(box: Floats) -> float:
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Let the camera start with a view of a box from the front, right and above, to the left of the panel."""
+    """Set the camera's first view: it shows a box from the front, the right and above, to the left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
@@ -63,7 +64,7 @@ def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
     side = section * math.ceil(GRID_SIDE * size / section)
     lowest = float(box[0, 2])
     at = 0.0 if 0.0 <= lowest <= ON_GROUND * size else lowest
-    # The grid's lines are at round coordinates, in round steps.
+    # The grid's lines are at round coordinates, with a round spacing.
     x, y = section * np.round(box.mean(axis=0)[:2] / section)
     grid = scene.add_grid(
         "/ground", side, side, position=(x, y, at), cell_size=cell, section_size=section, fade_distance=20 * size

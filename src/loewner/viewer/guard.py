@@ -84,7 +84,7 @@ class Listening:
 
 
 def listening(host: Any) -> Listening:
-    """Find the address of a host; InputError if the host has none."""
+    """Find the address of a host. Raise an InputError if the host has no address."""
     if not isinstance(host, str):
         raise InputError(f"host: expected an address or the name of a host as a str, found {type(host).__name__}")
     if not host:
@@ -110,7 +110,7 @@ class Guard:
     where : Listening
     port : int
     token : str or None
-        The secret that a client must send; None if no secret is required.
+        The secret that a client must send, or None if no secret is required.
     title : str
         Title of the browser's tab.
     """
@@ -125,7 +125,7 @@ class Guard:
             self._names |= {socket.gethostname().lower(), socket.gethostname().lower().partition(".")[0]}
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Return the reason for refusing a request; None if the request is accepted.
+        """Return the reason for refusing a request, or None if the request is accepted.
 
         Parameters
         ----------
@@ -145,12 +145,12 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add to a page, before it is sent, a title, style, the token for the websocket, and the policy on connections.
+        """Complete a page before it is sent, with a title, style, the websocket's token, and the policy on connections.
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address and shows the content as its
         own, so a link to this server with such parameters could be used in an attack. The policy allows connections
-        only to this server. The policy also prevents pages of other machines from framing this page, since such pages
-        could collect clicks unnoticed.
+        only to this server. It also prevents pages of other machines from framing this page, because such pages could
+        collect clicks unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -206,9 +206,10 @@ def install(server: Any, guard: Guard) -> None:
     """Put the guard before a viser server that has just been started, and check that the guard works.
 
     viser has no hook for this, so the guard is installed in the websockets server on which viser is built. That server
-    is reached through one of its own connections, opened for this purpose. Earlier clients are disconnected in the same
-    turn of the server's loop, during which no client can connect and the page is still empty. If the internals of viser
-    or websockets are not as expected, the installation or the check fails, and no page is left open.
+    is reached through one of its own connections, opened for this purpose. Clients that connected earlier are
+    disconnected in the same turn of the server's loop. During this turn, no client can connect, and the page is still
+    empty. If the internals of viser or websockets are not as expected, the installation or the check fails, and no page
+    is left open.
 
     Raises
     ------
@@ -264,7 +265,7 @@ async def _put(guard: Guard, connections: Any) -> None:
 
 
 def _try(guard: Guard) -> None:
-    """Send requests that must be refused, and check that they are."""
+    """Send requests that must be refused, and check that the guard refuses them."""
     foreign = f"http://{FOREIGN}:{guard.port}"
     wrong: list[dict[str, Any]] = [
         {"host": FOREIGN},
@@ -284,7 +285,7 @@ def _try(guard: Guard) -> None:
 def _ask(
     guard: Guard, *, host: str = "localhost", origin: str | None = None, token: str | None = "", upgrade: bool = False
 ) -> tuple[int, http.client.HTTPConnection]:
-    """Send a request to the server, with the right token unless another is given; return the status of the answer."""
+    """Send a request to the server, with the right token unless `token` is None; return the status of the answer."""
     import viser
 
     headers = {"Host": f"{host}:{guard.port}"}

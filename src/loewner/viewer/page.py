@@ -49,7 +49,7 @@ BAD: Rgb = (102, 102, 102)
 
 
 class Viewer(ABC):
-    """An open page; made by `show_pair` or `show_robot`.
+    """An open page, which `show_pair` or `show_robot` made.
 
     `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. If several moves are
     waiting, only the last one is answered, so that the page does not lag behind the mouse.
@@ -97,7 +97,7 @@ class Viewer(ABC):
             print(self._warning(), flush=True)
 
     def __repr__(self) -> str:
-        # The token is left out, since notebooks are passed on.
+        # The token is omitted, because users share notebooks.
         where = "closed" if self._closed.is_set() else self._guard.where.url(self._guard.port, None)
         return f"{type(self).__name__}({where})"
 
@@ -127,7 +127,7 @@ class Viewer(ABC):
             self.close()
 
     def refresh(self) -> None:
-        """Update the page now; InputError if the page is closed."""
+        """Update the page now. Raise an InputError if the page is closed."""
         self._check_open()
         with self.lock:
             self._apply({})
@@ -140,7 +140,7 @@ class Viewer(ABC):
         self.close()
 
     def _warning(self) -> str:
-        """Return the warning that others can open a page that is not restricted to this machine."""
+        """Return a warning that others can open this page, which is not restricted to this machine."""
         where, port = self._guard.where, self._guard.port
         reach = "any of this machine's addresses" if where.everywhere else where.host
         address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
@@ -173,7 +173,7 @@ class Viewer(ABC):
         return {name: box.value for name, box in self._layers.items()}
 
     def _frame_view(self, box: Floats) -> None:
-        """Aim the camera at a box; add a grid, a label for its check box, and marks of matching size."""
+        """Aim the camera at a box. Add a grid, a label for its check box, and near points of matching size."""
         self._size = diagonal(box)
         aim(self.server, box)
         self._ground, cell = add_ground(self.server.scene, box)
@@ -186,7 +186,7 @@ class Viewer(ABC):
 
     @abstractmethod
     def _take(self, done: dict[str, Any]) -> None:
-        """Apply the actions on the page, given as a dict of control names and last values."""
+        """Apply the actions on the page. `done` maps the name of each control that was used to its last value."""
 
     @abstractmethod
     def _answer(self) -> None:
@@ -223,7 +223,7 @@ class Viewer(ABC):
         self._events.put((name, value))
 
     def _watch(self, handle: Any, name: str) -> Any:
-        """Record each change that a user makes to a control; changes by Python have no client and are ignored."""
+        """Record each change that a user makes to a control. Changes by Python have no client and are ignored."""
         handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
         return handle
 
@@ -269,7 +269,7 @@ class Viewer(ABC):
                     self._apply(done)
 
     def _drained(self) -> dict[str, Any]:
-        """Wait for an action, then take all actions that have occurred."""
+        """Wait for an action, and then take all actions that have occurred."""
         done: dict[str, Any] = {}
         try:
             event = self._events.get(timeout=self._look_every())
@@ -298,7 +298,7 @@ class Viewer(ABC):
 
 
 class Mover:
-    """The controls that move one body on the page: a gizmo to drag, and position and rotation as numbers.
+    """The gizmo with which users drag one body on the page.
 
     The gizmo's node has the body's pose, so that the browser moves the body with the mouse.
     """
@@ -336,7 +336,7 @@ class PoseInputs:
 
     def __init__(self, page: Viewer, name: str, view: float) -> None:
         gui = page.server.gui
-        # viser shows as many decimals as the step has.
+        # viser shows the same number of decimals as the step has.
         step = round_length(view / 5000)
         self._decimals = max(0, -math.floor(math.log10(step)))
         self.position = page._watch(gui.add_vector3("position, m", (0.0, 0.0, 0.0), step=step), f"type {name}")
@@ -347,7 +347,7 @@ class PoseInputs:
         return pose_of(from_rpy(*np.radians(self.turn.value)), self.position.value)
 
     def show(self, T: Floats) -> None:
-        """Show a pose, rounded to the decimals that are shown."""
+        """Show a pose, rounded to the displayed decimals."""
         with np.errstate(all="ignore"):
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         self.position.value = tuple((np.round(T[:3, 3], self._decimals) + 0.0).tolist())
@@ -389,8 +389,8 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
         raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
-    # This check comes first, since viser would silently take another port, and would wait forever at an invalid
-    # address.
+    # Check the port and the address first. Otherwise, viser would silently take another port, and would wait forever at
+    # an invalid address.
     try:
         with socket.create_server((where.address, port), family=where.family):
             pass

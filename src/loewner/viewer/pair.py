@@ -35,19 +35,19 @@ def show_pair(
     port: int = 0,
     block: bool = False,
 ) -> PairViewer:
-    """Open a page that shows two bodies, which can be moved, and their verdict.
+    """Open a page that shows two movable bodies and their verdict.
 
     Parameters
     ----------
     a, b : Body
     T_world_a, T_world_b : array_like, shape (4, 4), or None
-        Initial poses; translation in metres. None is the identity.
+        Initial poses, with translations in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep.
+        Distance in metres that the bodies must keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
-        The meshes from which the bodies were made, in the frames of the bodies. The meshes form a separate layer,
-        hidden at first, because the pieces, not the meshes, are checked. A body without a mesh shows its pieces in that
-        layer.
+        The meshes from which the bodies were made, in the frames of the bodies. The meshes form a separate layer, which
+        is hidden at first, because the pieces are checked and not the meshes. A body without a mesh shows its pieces in
+        this layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
         any other host, anyone who has the page's address can open the page and move the bodies. The address ends in a
@@ -67,7 +67,9 @@ def show_pair(
         If viser is not installed, or its version cannot be made to refuse requests from other sites.
     InputError
         If an operand is not a body, the margin is negative, the host does not belong to this machine, or the port is
-        taken; PoseError if a pose is not a rigid motion.
+        taken.
+    PoseError
+        If a pose is not a rigid motion.
     FileError, GeometryError
         If a mesh cannot be read.
 
@@ -88,7 +90,7 @@ def show_pair(
 
 
 class PairViewer(Viewer):
-    """A page for two bodies; made by `show_pair`.
+    """A page for two bodies, which `show_pair` made.
 
     Attributes
     ----------
@@ -137,7 +139,7 @@ class PairViewer(Viewer):
 
     @property
     def T_world_a(self) -> Floats:
-        """Pose of a, shape (4, 4); set it to move the body on the page."""
+        """Pose of a, shape (4, 4). Set it to move the body on the page."""
         return self._movers["A"].T.copy()
 
     @T_world_a.setter
@@ -146,7 +148,7 @@ class PairViewer(Viewer):
 
     @property
     def T_world_b(self) -> Floats:
-        """Pose of b, shape (4, 4); set it to move the body on the page."""
+        """Pose of b, shape (4, 4). Set it to move the body on the page."""
         return self._movers["B"].T.copy()
 
     @T_world_b.setter
@@ -228,7 +230,7 @@ class PairViewer(Viewer):
         return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
 
     def _show_near(self) -> None:
-        # The near points of overlapping bodies are inside the bodies.
+        # If the bodies overlap, the near points are inside them.
         for drawing in self._drawings.values():
             drawing.see_through(self._marks["near"].value and self.found.distance < 0)
         if not self._marks["near"].value:

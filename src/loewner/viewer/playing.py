@@ -30,7 +30,7 @@ PACE = 1.0
 # Number of evenly spaced times at which the page checks for collisions.
 LOOKS = 201
 
-# Colours and names of the results. An unsettled result, which is AMBIGUOUS, counts as colliding elsewhere.
+# Colours and names of the results. Elsewhere, an unsettled result (AMBIGUOUS) counts as colliding.
 COLOURS = (VERDICT_COLOURS[Verdict.FREE], VERDICT_COLOURS[Verdict.COLLIDING], (119, 119, 119))
 NAMES = ("FREE", "COLLIDING", "UNDECIDED")
 
@@ -88,7 +88,7 @@ class Standing:
     Attributes
     ----------
     q : ndarray, shape (dof,)
-        The configuration of the robot; the page changes it.
+        The configuration of the robot, which the page changes.
     duration, start_time : float
         Seconds, as for `Path`.
     """
@@ -117,7 +117,7 @@ class Executed:
     given
         The curve that was passed.
     duration, start_time : float
-        Seconds, as for `Path`; the start time includes the first time of the curve.
+        Seconds, as for `Path`. The start time includes the first time of the curve.
     """
 
     def __init__(self, robot: Robot, given: Any) -> None:
@@ -144,7 +144,7 @@ Way = Trajectory | Path | Standing | Executed
 
 
 def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
-    """Check that times are between 0 and the last of `times`, and find the part that contains each."""
+    """Check that times are between 0 and the last of `times`, and find the part that contains each time."""
     at = np.asarray(t, dtype=float)
     if not ((at >= 0.0) & (at <= times[-1])).all():
         raise InputError(f"t: expected seconds from 0 to {times[-1]:.15g}, found {at.tolist()}")
@@ -152,7 +152,7 @@ def _located(t: Any, times: Floats) -> tuple[Floats, Ints]:
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | Executed | None:
-    """Return the path to play; InputError if both arguments are given, or the path is for a different robot."""
+    """Return the path to play. Raise an InputError if both arguments are given, or the path is for another robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
     if isinstance(path, Trajectory):
@@ -179,7 +179,7 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory | Executed:
 
 
 def found_along(checker: CollisionChecker, way: Way) -> Ints:
-    """Return the verdict at each of LOOKS times, evenly spaced from start to end; AMBIGUOUS if it was not settled."""
+    """Return the verdict at each of LOOKS evenly spaced times from start to end. An unsettled one is AMBIGUOUS."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
     Q = np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
@@ -187,14 +187,14 @@ def found_along(checker: CollisionChecker, way: Way) -> Ints:
 
 
 class Proof(NamedTuple):
-    """The verdicts along a path, part by part, as they are proven.
+    """The proven verdicts along a path, part by part.
 
     Attributes
     ----------
     times : ndarray, shape (n + 1,)
         Seconds since the start at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
-        The verdict for each part; FREE holds at every instant, and an AMBIGUOUS part has no proof.
+        The verdict for each part. FREE holds at every instant. An AMBIGUOUS part has no proof.
     fractions : ndarray, shape (n,)
         For a part that is not FREE, the fraction of the part at which its proof ended.
     """
@@ -221,10 +221,9 @@ def proven_along(checker: CollisionChecker, way: Way) -> Proof:
 
 
 def worst_along(checker: CollisionChecker, way: Way, proof: Proof) -> float:
-    """Return the time, in seconds since the start, at which the least distance of any pair is smallest.
+    """Return the time, in seconds since the start, at which the distance of the nearest pair is smallest.
 
-    For a path without times of its own, the result is the worst of the sampled times and the times at which proofs
-    ended.
+    For a path without times, only the sampled times and the times at which proofs ended are compared.
     """
     if isinstance(way, (Trajectory, Executed)):
         near = approaches.worst(checker, way.given if isinstance(way, Executed) else way)
@@ -280,6 +279,6 @@ def _listed(stretches: list[str]) -> str:
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:
-    """List the runs of equal answers, each as the answer, the first index, and the index after the last."""
+    """List the runs of equal answers: the answer, the first index, and the index after the last one."""
     cuts = [0, *(np.flatnonzero(np.diff(found)) + 1).tolist(), len(found)]
     return [(int(found[start]), start, end) for start, end in zip(cuts[:-1], cuts[1:], strict=True)]

@@ -31,8 +31,8 @@ from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
-# Links larger than WORLD [m] count as ground. The first view shows the other links, and includes ground and bodies of
-# the scene if they make the view at most WIDEST times as wide.
+# Links larger than WORLD [m] count as ground. The first view shows all other links. It includes the ground and bodies
+# of the scene if this makes the view at most WIDEST times as wide.
 WORLD, WIDEST = 500.0, 4.0
 
 # Ranges of sliders for values without limits: angles of joints [rad], and positions of mobile bases [m].
@@ -80,16 +80,15 @@ def show_robot(
     checker : CollisionChecker
         Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration. The default is the start of the path. Without a path, the default is the state of the
-        SRDF that names the most joints, or else 0 for all joints. In both cases, joints are kept within their limits.
+        The first configuration. The default is the start of the path. Without a path, the default is the SRDF state
+        that names the most joints or, without such a state, 0 for all joints. Joints are kept within their limits.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Two or more configurations of this robot. The page gets a time slider, a button to play the path, a bar that
         shows where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the
         scene follow motions, slider, button and bars also appear without a path. A path without times is played at a
         speed of 1 rad/s or 1 m/s, as measured by `Robot.distances`.
     trajectory : planners.Trajectory, planners.ControllerPoints, or a SciPy curve, optional
-        A trajectory to play instead of a path, as for `CollisionChecker.certify_trajectory`; give either `trajectory`
-        or `path`.
+        A trajectory to play, as for `CollisionChecker.certify_trajectory`. Give either `trajectory` or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -134,7 +133,7 @@ class _Shown:
 
 
 class RobotViewer(Viewer):
-    """A page for a robot in a scene; made by `show_robot`.
+    """A page for a robot in a scene, which `show_robot` made.
 
     Changes that Python code makes to the scene appear within a tenth of a second, or immediately after `refresh`.
 
@@ -155,8 +154,8 @@ class RobotViewer(Viewer):
     contacts : tuple of Contact
         The pairs that touch or come within their margin.
     bounds : StateDistance
-        Certified bounds on the distance of the nearest pair, its exact distance and its witnesses; only the bounds if
-        the exact search cannot settle the distance.
+        Certified bounds on the distance of the nearest pair, its exact distance and its witnesses. If the exact search
+        cannot settle the distance, only the bounds are present.
 
     Examples
     --------
@@ -223,7 +222,7 @@ class RobotViewer(Viewer):
 
     @property
     def q(self) -> Floats:
-        """The configuration that is shown, shape (dof,); set it to move the robot on the page."""
+        """The configuration that is shown, shape (dof,). Set it to move the robot on the page."""
         return self._q.copy()
 
     @q.setter
@@ -237,7 +236,7 @@ class RobotViewer(Viewer):
 
     @property
     def time(self) -> float:
-        """The position on the path, in seconds; set it to move the robot along the path."""
+        """The position on the path, in seconds. Set it to move the robot along the path."""
         return self._time
 
     @time.setter
@@ -312,7 +311,7 @@ class RobotViewer(Viewer):
         return worst
 
     def pause(self) -> None:
-        """Stop the robot in place; InputError if there is no path."""
+        """Stop the robot in place. Raise an InputError if there is no path."""
         with self._changing():
             self._the_way()
             self._stop()
@@ -325,7 +324,7 @@ class RobotViewer(Viewer):
         name : str
             Name of a static body in the world.
         T_world_body : array_like, shape (4, 4), or None
-            The new pose; translation in metres. None is the identity.
+            The new pose, with its translation in metres. None is the identity.
 
         Raises
         ------
@@ -388,7 +387,7 @@ class RobotViewer(Viewer):
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
             box = shown.drawing.box(T)
-            # A plane in MJCF is a link of the robot, but very large.
+            # A plane in an MJCF file is a very large link of the robot.
             boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
         box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
         self._frame_view(box)
@@ -421,7 +420,7 @@ class RobotViewer(Viewer):
 
     @cached_property
     def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
-        """Return the links' visual meshes, which are read only when they are first shown, since reading takes time."""
+        """Return the links' visual meshes. Since reading takes time, the meshes are read when they are first shown."""
         return visual_meshes(self.checker.robot)
 
     def _show_layers(self) -> None:
@@ -435,7 +434,7 @@ class RobotViewer(Viewer):
         self._notes.visible = which["meshes"] and bool(self._notes.content)
 
     def _show_unchecked(self) -> None:
-        """Draw links that have visual geometry but no body; report missing visuals and links that are not checked."""
+        """Draw links that have visual geometry but no body. Report missing visuals and links that are not checked."""
         robot, (looks, faults) = self.checker.robot, self._visuals
         self._unchecked = {
             name: add_mesh(self.server.scene, f"/robot/{robot.link_names.index(name)}/look", look, **UNCHECKED)
@@ -542,7 +541,7 @@ class RobotViewer(Viewer):
         return self._way
 
     def _follow(self, way: paths.Way, done: dict[str, Any]) -> None:
-        """Continue a path that is being played; moving a joint by hand stops it, unless only bodies move."""
+        """Continue the path that is being played. Moving a joint by hand stops the path, unless only bodies move."""
         if "speed" in done:
             self._set_speed(SPEEDS[self._pace.value])
         if isinstance(way, paths.Standing):
@@ -609,7 +608,7 @@ class RobotViewer(Viewer):
         return self._time + (0.0 if self._way is None else self._way.start_time)
 
     def _now(self) -> float | None:
-        """Move bodies that follow motions to the current time, and return it; None if no body follows a motion."""
+        """Move bodies that follow motions to the current time. Return the time, or None if no body follows a motion."""
         following = self.checker.scene.following
         for name, motion in following.items():
             if name in self._shown:
@@ -644,7 +643,7 @@ class RobotViewer(Viewer):
                 self._proof_strip.content = note_lines([f"proof: none; {error}"])
 
     def _prove(self) -> None:
-        """Prove the path at once, if a proof is due."""
+        """Prove the path immediately, if a proof is due."""
         if self._prove_at < math.inf:
             self._prove_at = 0.0
             self.refresh()
@@ -656,7 +655,7 @@ class RobotViewer(Viewer):
         super()._set_pictured(pictured)
 
     def _verdict_along(self) -> Verdict | None:
-        """Return the verdict for the whole path, if the robot is on it."""
+        """Return the verdict for the whole path, or None if the robot is not on the path."""
         if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
@@ -664,7 +663,7 @@ class RobotViewer(Viewer):
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
-        # Contact in a sample may be allowed at the beginning or the end of the path, so the proof decides.
+        # The scene may allow contact at the beginning or the end of the path, so the proof decides.
         sampled = (along == Verdict.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 

@@ -28,7 +28,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     page : PairViewer or RobotViewer
         An open page.
     path : path
-        A path that ends in ``.png``; an existing file is replaced.
+        A path that ends in ``.png``. An existing file is replaced.
     width, height : int
         Size of the browser's window, in pixels.
 

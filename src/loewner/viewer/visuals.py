@@ -25,7 +25,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes : dict
         Maps link names to vertices (v, 3) [m] and triangles (t, 3), in the frame of the link.
     faults : list of str
-        Reasons why meshes are missing; a picture without them is still worth showing.
+        Reasons why meshes are missing. A picture without these meshes is still worth showing.
     """
     meshes: dict[str, Mesh] = {}
     faults: list[str] = []
