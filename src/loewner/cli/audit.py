@@ -188,7 +188,8 @@ def _answer(
     if certified.proof is not None:
         certified.proof.save(written)
     robot, times, unproven = checker.robot, certified.times, np.flatnonzero(certified.segments.verdict != Verdict.FREE)
-    timed = isinstance(given, planners.ControllerPoints)
+    controller = trajectories.controller_of(given)
+    timed = controller is not None
     near, allowed, contacts = approaches.along(checker, curve, unproven)
     names = certified.segments.names
     pieces = [
@@ -213,7 +214,7 @@ def _answer(
         "time": None if free else float(certified.time),
         "pair": None if free else list(certified.names),
         "timed": timed,
-        "controller": trajectories.controller_of(given) if isinstance(given, planners.ControllerPoints) else None,
+        "controller": controller,
         "joint_error": options.joint_error,
         "begins": float(times[0]),
         "ends": float(times[-1]),

@@ -158,10 +158,9 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--joint-error: expected no --sampled with it; samples do not cover deviations")
     if options.proof is not None and options.sampled:
         raise InputError("--proof: expected no --sampled with it; sampled motions have no proof")
-    if options.weights is not None and not options.improve_for:
-        raise InputError("--weights: expected --improve-for with it; without that no path is improved")
-    if options.clearance is not None and not options.improve_for:
-        raise InputError("--clearance: expected --improve-for with it; without that no path is improved")
+    if not options.improve_for:
+        of_improving = "{}: expected --improve-for with it; without that no path is improved"
+        inputs.refuse(options, ("weights", "clearance"), of_improving)
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     inputs.expect_suffix(options.out, "--out", configurations.WRITTEN)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from loewner import planners
 from loewner.bodies import for_pictures, packed_of
 from loewner.cli import inputs, trajectories
 from loewner.cli.output import FREE, counted, progress_of
@@ -78,10 +77,9 @@ def _run(options: argparse.Namespace) -> int:
     print(f"{options.out}  {counted(len(body.pieces), 'piece')}")
     print(f"contains  the links at every time; sticks out by {1e3 * excess:.3g} mm at most")
     for part, _ in parts:
-        if isinstance(part, planners.ControllerPoints):
-            print(f"curve     {trajectories.controller_of(part)} between the points of the file")
-        else:
-            print("curve     straight between the configurations of the file")
+        controller = trajectories.controller_of(part)
+        how = f"{controller} between the points" if controller else "straight between the configurations"
+        print(f"curve     {how} of the file")
         for column, value in trajectories.assumed(part).items():
             print(f"assumed   {column} = {value:.9g}: the file has no values of it (--others)")
     return FREE

@@ -117,9 +117,9 @@ def _carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dic
         scene.attach(body, link, T_link_body, touch_links=touching.get(body, ()), leave=leave, reach=reach)
 
 
-def controller_of(points: planners.ControllerPoints) -> str:
-    """Return the name of the controller that follows the given points with their derivatives."""
-    return CONTROLLERS[_derivatives(points)]
+def controller_of(part: Part) -> str | None:
+    """Return the name of the controller that follows points with their derivatives; None for a path without times."""
+    return CONTROLLERS[_derivatives(part)] if isinstance(part, planners.ControllerPoints) else None
 
 
 def assumed(part: Part) -> dict[str, float]:
@@ -132,10 +132,9 @@ def assumed(part: Part) -> dict[str, float]:
 
 def end(robot: loewner.Robot, part: Part, row: int) -> Floats:
     """Return one configuration of a part, in the robot's order of columns."""
-    if not isinstance(part, planners.ControllerPoints) or part.names is None:
-        rows = part if isinstance(part, np.ndarray) else part.positions
-        return np.asarray(rows[row])
-    return robot.configuration(dict(zip(part.names, part.positions[row], strict=True)))
+    if isinstance(part, planners.ControllerPoints):
+        return robot.configuration(dict(zip(part.names or (), part.positions[row], strict=True)))
+    return np.asarray(part[row])
 
 
 def _link_pose(robot: loewner.Robot, part: Part, row: int, link: str) -> Floats:

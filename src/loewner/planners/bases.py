@@ -152,10 +152,7 @@ class Base:
             return free
         lengths, turns = ways[at, motion].T
         arcs = arcs_of(begins[at, motion], lengths, turns, ends[at, motion], np.zeros((len(at), 3)))
-        courses = np.tile(self.still, (len(arcs.owner), 8, 1))
-        courses[..., list(self.columns)] = arcs.courses
-        off = np.zeros((len(courses), len(self.still)))
-        off[:, list(self.columns)] = arcs.off
+        courses, off = arcs.of_robot(self.still, list(self.columns))
         off += self.judge.errors
         answers = motions.settle(self.judge.ready, courses, TOLERANCE, off)
         refuse_starts(self.judge.ready, courses[:, 0], answers)

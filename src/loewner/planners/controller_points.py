@@ -21,7 +21,6 @@ from loewner._kernels import columns
 from loewner.errors import FileError, InputError
 from loewner.planners import messages
 from loewner.planners.controllers import columns_of, write
-from loewner.planners.joint_limits import expect_robot
 from loewner.planners.trajectory_files import RATES, WRITTEN, Rows, rows_of_table, saved_rows, table_of, with_ending
 from loewner.robots import Robot
 from loewner.robots.description.robot import joints_above
@@ -312,7 +311,7 @@ class ControllerPoints:
         if suffix not in ENDINGS:
             raise InputError(f"path: expected a name that ends in {', '.join(ENDINGS)}, found {name}")
         if robot is not None:
-            expect_robot(robot)
+            _validate.instance(robot, "robot", Robot)
         elif others is not None:
             raise InputError("others: expected a configuration of robot=, found no robot")
         q = None if robot is None or others is None else robot.checked_one(others, "others")

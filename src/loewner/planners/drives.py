@@ -23,7 +23,6 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import columns as kernel_columns
 from loewner._kernels import tolerances
 from loewner.errors import InputError
-from loewner.planners.joint_limits import expect_robot
 from loewner.planners.steering import driven, moved
 from loewner.robots import Proof, Robot
 from loewner.robots.proofs.curves import Curve, form_of
@@ -63,6 +62,12 @@ class Arcs(NamedTuple):
     off: Floats
     owner: Ints
     begin: Floats
+
+    def of_robot(self, q: Floats, columns: list[int]) -> tuple[Floats, Floats]:
+        """Return the courses of all joints, and their deviations; joints outside of `columns` keep the values of q."""
+        courses, off = np.tile(q, (len(self.owner), 8, 1)), np.zeros((len(self.owner), len(q)))
+        courses[..., columns], off[:, columns] = self.courses, self.off
+        return courses, off
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,7 +141,7 @@ class Drive(KeepsReadOnly):
             If an argument has the wrong shape or value, a motion neither drives nor turns, or the robot has no planar
             base.
         """
-        expect_robot(robot)
+        _validate.instance(robot, "robot", Robot)
         q, checked_motions = robot.checked_one(start, "start"), _validate.finite_array(motions, "motions", ("k", 2))
         if len(checked_motions) == 0 or not (checked_motions != 0.0).any(axis=1).all():
             raise InputError("motions: expected one or more, each with a length or a turn, found others")
@@ -226,10 +231,7 @@ def _form(given: Drive, name: str) -> Curve:
     poses, (lengths, turns) = given.path[:, columns], given.motions.T
     gaps = np.abs(moved(poses[:-1], lengths, turns) - poses[1:])
     arcs = arcs_of(poses[:-1], lengths, turns, poses[1:], gaps)
-    courses = np.repeat(given.path[arcs.owner, None], 8, axis=1)
-    courses[..., columns] = arcs.courses
-    off = np.zeros((len(courses), given.path.shape[1]))
-    off[:, columns] = arcs.off
+    courses, off = arcs.of_robot(given.path[0], columns)
     times = given.times[arcs.owner] + np.diff(given.times)[arcs.owner] * arcs.begin
     return Curve(given.names, np.append(times, given.times[-1]), courses, off)
 

@@ -123,18 +123,13 @@ class JointLimits(KeepsReadOnly):
         array([ 0.5, -inf])
         """
         source = _validate.path(path, "path")
-        expect_robot(robot)
+        _validate.instance(robot, "robot", Robot)
         flag, what = _validate.flag(scaled, "scaled"), "limits of joints"
         root = read_yaml(read_regular(source, what, MOST_BYTES), source, what, merges=True)
         limits, doubts = _read(root, robot, flag)
         if doubts:
             warn(f"{shown(source)}: {doubts[0]}" + (f" ({len(doubts) - 1} more like it)" if len(doubts) > 1 else ""))
         return limits
-
-
-def expect_robot(robot: Robot) -> None:
-    """Raise an InputError if an argument is not a robot."""
-    _validate.instance(robot, "robot", Robot)
 
 
 def limits_of(

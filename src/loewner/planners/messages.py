@@ -328,9 +328,8 @@ def _plain_motion(names: list[str], points: Node) -> Motion | None:
                 return None
             if not any(listed):
                 continue
-            if {*map(len, listed)} != {len(names)}:
-                return None
-            if not {*map(type, itertools.chain.from_iterable(listed))} <= {int, float}:
+            types = {*map(type, itertools.chain.from_iterable(listed))}
+            if {*map(len, listed)} != {len(names)} or not types <= {int, float}:
                 return None
             rows[kind] = np.array(listed, dtype=np.float64)
         seconds = np.array(halves[0], dtype=np.float64) + 1e-9 * np.array(halves[1], dtype=np.float64)

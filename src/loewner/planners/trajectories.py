@@ -28,7 +28,7 @@ from loewner.errors import FileError, InputError, MissingExtraError, PlanningErr
 from loewner.planners import brakes, messages
 from loewner.planners.controllers import columns_of, write
 from loewner.planners.jerk_limited import CUBIC_ROUNDINGS, JerkLimited, shortest
-from loewner.planners.joint_limits import JointLimits, expect_robot, limits_of
+from loewner.planners.joint_limits import JointLimits, limits_of
 from loewner.planners.judge import Judge, checked_checker, refuse_unfree
 from loewner.planners.kept_lines import KeptLine, Line, angle_of, kept_lines
 from loewner.planners.straights import BLEND_ROUNDINGS, SHORTEST, Straights
@@ -1052,7 +1052,7 @@ def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
 
 def expect_straight(robot: Robot, name: str = "robot") -> None:
     """Refuse an argument `name` that is not a robot whose joint values change linearly along motions."""
-    expect_robot(robot)
+    _validate.instance(robot, "robot", Robot)
     if not robot.runs_straight:
         raise InputError(
             f"{name}: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "

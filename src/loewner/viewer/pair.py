@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from loewner._base import _validate
 from loewner._base._validate import Floats
 from loewner.bodies import Body
+from loewner.bodies.kinds import Mesh
 from loewner.errors import InputError
 from loewner.meshes import decomposition as meshes
 from loewner.queries.pairs import Distance, Verdict, classify, collide, distance
@@ -83,7 +84,14 @@ def show_pair(
     >>> page.close()
     """
     waits = _validate.flag(block, "block")
-    viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
+    for body, name in ((a, "a"), (b, "b")):
+        _validate.instance(body, name, Body)
+        if not body.pieces:
+            raise InputError(f"{name}: expected a body with pieces, found an empty one")
+    least = _validate.positive_scalar(margin, "margin", zero=True)
+    looks = {name: meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b)) if mesh is not None}
+    first = {"A": _validate.pose(T_world_a, "T_world_a"), "B": _validate.pose(T_world_b, "T_world_b")}
+    viewer = PairViewer(a, b, first, looks, least, host, port)
     if waits:
         viewer.wait()
     return viewer
@@ -113,28 +121,9 @@ class PairViewer(Viewer):
     found: Distance
 
     def __init__(
-        self,
-        a: Body,
-        T_world_a: ArrayLike | None,
-        b: Body,
-        T_world_b: ArrayLike | None,
-        *,
-        margin: float,
-        mesh_a: meshes.Source | None,
-        mesh_b: meshes.Source | None,
-        host: str,
-        port: int,
+        self, a: Body, b: Body, first: dict[str, Floats], looks: dict[str, Mesh], margin: float, host: str, port: int
     ) -> None:
-        for body, name in ((a, "a"), (b, "b")):
-            _validate.instance(body, name, Body)
-            if not body.pieces:
-                raise InputError(f"{name}: expected a body with pieces, found an empty one")
-        self.a, self.b = a, b
-        self._margin = _validate.positive_scalar(margin, "margin", zero=True)
-        self._meshes = {
-            name: None if mesh is None else meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b))
-        }
-        self._first = {"A": _validate.pose(T_world_a, "T_world_a"), "B": _validate.pose(T_world_b, "T_world_b")}
+        self.a, self.b, self._first, self._meshes, self._margin = a, b, first, looks, margin
         super().__init__("loewner: two bodies", host, port)
 
     @property
@@ -165,8 +154,7 @@ class PairViewer(Viewer):
     def _build(self) -> None:
         gui, scene, poses = self.server.gui, self.server.scene, self._first
         with gui.add_folder("Show"):
-            offered = [k for k in LABELS if k != "meshes" or any(mesh is not None for mesh in self._meshes.values())]
-            self._add_layers(offered)
+            self._add_layers(k for k in LABELS if k != "meshes" or self._meshes)
         self._movers, self._inputs, self._drawings = {}, {}, {}
         for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
             self._movers[name] = Mover(self, f"/{name}", name, T)

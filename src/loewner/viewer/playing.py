@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._base._validate import Floats, Ints
+from loewner._base._validate import Floats, Ints, some
 from loewner._kernels import codes
 from loewner.errors import InputError
 from loewner.planners import Trajectory
@@ -22,7 +22,7 @@ from loewner.robots.proofs import approaches, curves
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.in_time import with_bodies
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
-from loewner.viewer.page import TEXT, cut_short
+from loewner.viewer.page import TEXT
 
 # Speed at which a path without times is played, measured by `Robot.distances` [rad/s or m/s].
 PACE = 1.0
@@ -242,7 +242,7 @@ def sampled_strip(found: Ints, duration: float) -> str:
         f"{NAMES[kind].lower()} {times[start]:.3g} .. {times[end - 1]:.3g} s"
         for kind, start, end in _stretches(found) if kind != Verdict.FREE
     ]  # fmt: skip
-    return _strip("along", bars, f"{len(found)} samples: {_listed(bad) or 'free'}")
+    return _strip("along", bars, f"{len(found)} samples: {some(bad, MOST_STRETCHES, '; ') or 'free'}")
 
 
 def proof_strip(proof: Proof) -> str:
@@ -253,7 +253,7 @@ def proof_strip(proof: Proof) -> str:
         bars.append((verdict.name, VERDICT_COLOURS[verdict], float(times[end] - times[start])))
         if verdict != Verdict.FREE:
             bad.append(f"{PROVEN[verdict]} {times[start]:.3g} .. {times[end]:.3g} s")
-    return _strip("proof along", bars, f"proof: {_listed(bad) or 'free at every instant'}")
+    return _strip("proof along", bars, f"proof: {some(bad, MOST_STRETCHES, '; ') or 'free at every instant'}")
 
 
 def proven_at(proof: Proof, t: float) -> str:
@@ -272,10 +272,6 @@ def _strip(name: str, bars: Sequence[tuple[str, Rgb, float]], words: str) -> str
         f'<div style="{TEXT}"><div style="display:flex;height:0.7em;border-radius:3px;overflow:hidden">{parts}</div>'
         f'<div data-loewner="{name}">{escape(words)}</div></div>'
     )
-
-
-def _listed(stretches: list[str]) -> str:
-    return "; ".join(cut_short(stretches, MOST_STRETCHES))
 
 
 def _stretches(found: Ints) -> list[tuple[int, int, int]]:

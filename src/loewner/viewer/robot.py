@@ -113,7 +113,8 @@ def show_robot(
     >>> page.close()
     """
     waits = _validate.flag(block, "block")
-    viewer = RobotViewer(checker, q, path, trajectory, host=host, port=port)
+    _validate.instance(checker, "checker", CollisionChecker)
+    viewer = RobotViewer(checker, q, paths.checked_way(checker.robot, path, trajectory), host, port)
     if waits:
         viewer.wait()
     return viewer
@@ -174,21 +175,13 @@ class RobotViewer(Viewer):
     contacts: tuple[Contact, ...]
     bounds: StateDistance
     path_verdict: Verdict | None
+    _along: Ints
 
     def __init__(
-        self,
-        checker: CollisionChecker,
-        q: ArrayLike | None,
-        path: ArrayLike | Trajectory | None,
-        trajectory: Any,
-        *,
-        host: str,
-        port: int,
+        self, checker: CollisionChecker, q: ArrayLike | None, way: paths.Way | None, host: str, port: int
     ) -> None:
-        _validate.instance(checker, "checker", CollisionChecker)
         robot = checker.robot
-        self.checker = checker
-        self._way: paths.Way | None = paths.checked_way(robot, path, trajectory)
+        self.checker, self._way = checker, way
         self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
         # The value of `monotonic` at time 0 of the path that is being played.
@@ -209,7 +202,6 @@ class RobotViewer(Viewer):
             )
         self._seen = self._seen_structure = -1
         self._seen_along: Any = None
-        self._along: Ints | None = None
         self._proof: paths.Proof | None = None
         # The value of `monotonic` at which the path will be proven.
         self._prove_at = math.inf
@@ -544,9 +536,7 @@ class RobotViewer(Viewer):
         """Continue the path that is being played. Moving a joint by hand stops the path, unless only bodies move."""
         if "speed" in done:
             self._set_speed(SPEEDS[self._pace.value])
-        if isinstance(way, paths.Standing):
-            way.q = self._q
-        elif {"state", "random", "joints"} & done.keys():
+        if {"state", "random", "joints"} & done.keys() and not isinstance(way, paths.Standing):
             self._stop()
             return
         if "time" in done:
@@ -659,12 +649,11 @@ class RobotViewer(Viewer):
         if self._way is None or not np.array_equal(self._q, self._way.positions(self._time)):
             return None
         verdicts = np.array([Verdict.AMBIGUOUS]) if self._proof is None else self._proof.verdicts
-        along = np.array([Verdict.AMBIGUOUS]) if self._along is None else self._along
         if (verdicts == Verdict.FREE).all():
             return Verdict.FREE
         scene = self.checker.scene
         # The scene may allow contact at the beginning or the end of the path, so the proof decides.
-        sampled = (along == Verdict.COLLIDING).any() and not (scene.leaving or scene.reaching)
+        sampled = (self._along == Verdict.COLLIDING).any() and not (scene.leaving or scene.reaching)
         return Verdict.COLLIDING if sampled or (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
 
     def _show_near(self) -> None:
