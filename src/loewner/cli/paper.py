@@ -11,7 +11,7 @@ from loewner._base._files import shown
 from loewner.cli import inputs
 from loewner.cli.output import print_table, progress_bar
 
-TEXT_COLUMNS = 80  # width of the text around the tables, which are at most this wide
+TEXT_COLUMNS = 80  # width of the text, and largest width of a table
 
 EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs

@@ -55,7 +55,7 @@ USUAL: dict[str, Any] = {"margin": 0.0, "scale": 1.0, "hull": False, "decompose"
 DOCUMENT, FORMAT, VERSION = "report.json", "loewner-report", 1
 PLAIN = re.compile(r"\w[\w.-]*", re.ASCII)
 
-# Limits on a report: the number of bytes of the archive, and of all members together, and the number of members.
+# Limits on a report. MOST_BYTES applies to the archive, and to the sum of its members.
 MOST_BYTES, MOST_MEMBERS = 2**30, 10_000
 
 # Largest number of characters of an answer that a table shows.

@@ -65,8 +65,8 @@ GREED = 1.5
 # Cost of a change between forwards and backwards, as a share of the cost of a step.
 CHANGE = 1.0
 
-# One batch in SHOOTING tries ways to the goal. It tries them from the first MOST_SHOOTING poses that are almost
-# straight ahead of the goal: their distance on the grid is at most DETOUR times the straight distance plus two radii.
+# One batch in SHOOTING tries ways to the goal. It tries them from the first MOST_SHOOTING poses that need no large
+# detour: their distance on the grid is at most DETOUR times the straight distance plus two radii.
 MOST_SHOOTING, DETOUR, SHOOTING = 4, 1.15, 2
 
 # Number of passes that shorten a way, and number of poses into which a pass divides the way.

@@ -32,7 +32,7 @@ EQUAL = 1e-6
 # creep on the next blend.
 SLOWEST = 0.5
 
-# How often the range that contains the lowest speed at the end of a line is halved.
+# Number of times that the range of possible speeds at the end of a line is halved to find the lowest one.
 HALVINGS = 64
 
 
@@ -110,7 +110,7 @@ class Brakes(NamedTuple):
         cubic : bool
             As for `courses`.
         until : ndarray, shape (n,)
-            Time in seconds, counted from the beginning of each brake, until which the robot rests if it stops earlier.
+            Shortest duration of each course, in seconds. If the brake is shorter, the robot rests afterwards.
 
         Returns
         -------

@@ -55,7 +55,7 @@ class Clearing:
 
     @classmethod
     def of(cls, judge: Judge, weights: Floats, wanted: float) -> Clearing:
-        """Make the cost for the scene of a judge, in the state that the judge refers to."""
+        """Make the cost for the state of the scene that a judge uses."""
         ready = judge.ready
         return cls(judge, ready.only(np.flatnonzero((ready.pairs >= len(ready.link)).any(axis=1))), weights, wanted)
 

@@ -526,7 +526,7 @@ def _columns_of(joint: str, T: Floats, robot: Robot) -> dict[str, Floats]:
 
 
 def _expect_upright(joint: str, robot: Robot) -> None:
-    """Refuse a planar joint whose axis is not z: a message's position and heading would not be its values."""
+    """Refuse a planar joint whose axis is not z, because its values are not the position and heading of a message."""
     column = robot.configuration_names.index(f"{joint}/x")
     q = np.repeat(robot.configuration()[None], 2, axis=0)
     q[0, column : column + 3], q[1, column : column + 3] = 0.0, (1.0, 2.0, 0.5)

@@ -75,7 +75,7 @@ class Departures:
 
 
 def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """Return a free configuration that a proven motion connects with the contact q, or q and a description."""
+    """Return a free configuration that a proven motion connects with the contact q, or q and the fault."""
     checker = space.checker
     if space.free(q):  # the usual case; listing the contacts would take longer
         return q, ""

@@ -1,4 +1,4 @@
-"""Decide how much of a chunk of joint targets may run: as far as all motions, and brakes from them, are proven free."""
+"""Decide how far a chunk of joint targets may run: up to the last target with proven motions and a proven brake."""
 
 from __future__ import annotations
 

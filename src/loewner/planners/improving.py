@@ -26,8 +26,8 @@ from loewner.planners.searches import Search
 from loewner.planners.space import Space
 from loewner.robots import Proof, Robot
 
-# Searches sample an ellipsoid of paths that may exceed the cost of the straight path by SLACK times the best path's
-# excess, since polishing shortens new paths.
+# A search samples an ellipsoid, whose paths cost more than the straight path by at most SLACK times the best path's
+# excess. SLACK exceeds 1 because polishing shortens new paths.
 SLACK = 1.5
 
 # First and largest number of iterations of a search, and the factors by which this number changes after a failure and

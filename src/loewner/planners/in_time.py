@@ -171,7 +171,7 @@ def plan_in_time(
     search: Search | None = None,
     seed: int = 0,
 ) -> Trajectory:
-    """Plan a trajectory from start to goal among moving bodies, which is proven free of collisions as a whole.
+    """Plan a trajectory from start to goal among moving bodies, and prove it free of collisions as a whole.
 
     Parameters
     ----------
@@ -184,9 +184,9 @@ def plan_in_time(
     velocity : float or array_like, shape (dof,), optional
         The largest velocity of each value [rad/s or m/s]. Default: the URDF's limits (`Robot.velocity`).
     arrive_by : float, optional
-        The latest arrival [s], on the same clock as `start_time`. By default, and at most, this time is the end of all
-        bodies' motions plus four times the time in which the joints can cross their ranges. A repeated motion counts as
-        ended after two periods.
+        The latest arrival [s], on the same clock as `start_time`. The default, which is also the upper limit, is the
+        end of all bodies' motions plus four times the time in which the joints can cross their ranges. A repeated
+        motion counts as ended after two periods.
     search : Search, optional
         The fields `max_iterations`, `timeout` and `simplify` apply. The field `planner` must not be set. Motions are
         always proven.
@@ -350,7 +350,7 @@ def _free_among(judge: TimedJudge, tried: list[Floats], known: Floats | None = N
 
 
 class _Tree:
-    """States from which free motions lead back to a start or, in a tree that grows backward, on to a goal."""
+    """States that free motions connect with a start or, in a tree that grows backward, with goals."""
 
     def __init__(self, judge: TimedJudge, roots: Floats, ahead: bool, longest: float) -> None:
         self.judge, self.states, self.ahead, self.longest = judge, roots, ahead, longest

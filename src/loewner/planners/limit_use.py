@@ -47,7 +47,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """The value of a joint on a curve that comes closest to the joint's limit, or exceeds the limit most.
+    """How far a curve uses a joint's limit: the joint's value that comes closest to the limit, or exceeds it most.
 
     Attributes
     ----------

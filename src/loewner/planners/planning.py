@@ -121,7 +121,7 @@ def plan(
     seed: int = 0,
     **others: Unpack[Others],
 ) -> Floats | Plan | Trajectory | Drive:
-    """Plan a path from start to goal, whose motions are all proven free of collisions.
+    """Plan a path from start to goal, and prove that all motions of the path are free of collisions.
 
     Parameters
     ----------

@@ -259,7 +259,7 @@ class Roadmap(KeepsReadOnly):
     def path(
         self, start: ArrayLike, goal: ArrayLike | PoseGoal, *, joint_error: ArrayLike = 0.0, simplify: bool = True
     ) -> Floats:
-        """Find a path from start to goal, whose motions are all proven free of collisions.
+        """Find a path from start to goal, and prove that all motions of the path are free of collisions.
 
         Parameters
         ----------

@@ -88,7 +88,7 @@ class Search:
         return UNLIMITED if self.max_iterations is None else self.max_iterations
 
     def _refuse(self, name: str, others: Sequence[str] = ()) -> None:
-        """Refuse options that apply only to paths, if an option selects another kind of plan."""
+        """If an option selects another kind of plan, refuse options that apply only to paths."""
         refused = ["planner"] * (self.planner is not None) + ["certified=False"] * (not self.certified) + [*others]
         if refused:
             raise InputError(

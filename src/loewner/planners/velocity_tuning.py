@@ -160,8 +160,8 @@ def time_path(
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
-        The latest arrival [s]. By default, and at most, this time is the end of all bodies' motions plus twice the
-        duration of the path without moving bodies. A repeated motion counts as ended after two periods.
+        The latest arrival [s]. The default, which is also the upper limit, is the end of all bodies' motions plus twice
+        the duration of the path without moving bodies. A repeated motion counts as ended after two periods.
     arrive_at : float, optional
         The exact time of arrival [s]. Default: the earliest time that the search finds.
     end_velocity : array_like, shape (dof,), optional

@@ -195,7 +195,7 @@ class Drawing:
         self.see_through(self._clear)
 
     def see_through(self, clear: bool) -> None:
-        """Make the pieces transparent, to show marks inside them, or opaque, unless layers inside them are shown."""
+        """Make the pieces transparent, or opaque again. They stay transparent while layers inside them are shown."""
         self._clear = clear
         for name in self._layers.get("pieces", ()):
             if hasattr(self._nodes[name], "opacity"):  # points have no opacity
