@@ -289,14 +289,13 @@ def _motion(node: Node | None, name: str) -> Motion | None:
         raise node.error("expected the key joint_names, found none")
     names = [joint.text() for joint in keys["joint_names"].items()]
     _expect_once(names, keys["joint_names"])
-    return (_joint_motion if name == "JointTrajectory" else _placed_motion)(names, keys["points"])
+    if name == "MultiDOFJointTrajectory":
+        return _placed_motion(names, keys["points"])
+    return _plain_motion(names, keys["points"]) or _joint_motion(names, keys["points"])
 
 
 def _joint_motion(names: list[str], node: Node) -> Motion:
     """Read the points of a JointTrajectory."""
-    quick = _plain_motion(names, node)
-    if quick is not None:
-        return quick
     points = [point.mapping(POINT, required=("time_from_start",)) for point in node.items()]
     rows = {}
     for kind in RATES:

@@ -134,11 +134,6 @@ class Executed:
         Q = configurations(self._robot, self._curve.courses[k.ravel()], shares.ravel())
         return Q.reshape(*at.shape, Q.shape[-1])
 
-    def certify(self, checker: CollisionChecker) -> CertifiedTrajectory:
-        """Prove the curve free."""
-        certified: CertifiedTrajectory = checker.certify_trajectory(self.given)
-        return certified
-
 
 Way = Trajectory | Path | Standing | Executed
 
@@ -207,7 +202,7 @@ class Proof(NamedTuple):
 def proven_along(checker: CollisionChecker, way: Way) -> Proof:
     """Prove the path free, part by part."""
     if isinstance(way, (Trajectory, Executed)):
-        curve = way.certify(checker)
+        curve: CertifiedTrajectory = checker.certify_trajectory(way.given if isinstance(way, Executed) else way)
         segments = curve.segments
         return Proof(curve.times - way.start_time, np.asarray(segments.verdict), np.asarray(segments.fraction))
     times = np.linspace(0.0, way.duration, PARTS + 1)
