@@ -679,7 +679,7 @@ class Trajectory(KeepsReadOnly):
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
-        """Return the piece of each time, the fraction of the piece, and its duration. Both have an axis for joints."""
+        """Return the piece of each time, and its fraction and duration, which have an additional axis for joints."""
         at = _validate.finite_array(t, "t", ("...",))
         if at.size and not (at.min() >= 0 and at.max() <= self.duration):
             worst = float(at.min() if at.min() < 0 else at.max())

@@ -535,8 +535,8 @@ def _wait(best: Floats, changes: Ints, waits: Ints, free: Bools, step: float) ->
     """Let a robot at rest wait as long as its place is free, and write the bins of arrival to `waits`."""
     bins = np.arange(len(best))
     halts = np.cumsum(~(free[:-1] & free[1:]))
-    # A halt is a bin at whose ends the place is not free. Among the arrivals since the last halt that have the fewest
-    # changes, the latest one is the best.
+    # A halt is a bin at whose beginning or end the place is not free. Among the arrivals since the last halt that have
+    # the fewest changes, the latest one is the best.
     keys = np.where(np.isfinite(best), changes.astype(np.int64) * 2 * MOST_BINS - bins, 2 * MANY * MOST_BINS)
     keys = np.minimum.accumulate(keys - halts * 4 * MANY * MOST_BINS) + halts * 4 * MANY * MOST_BINS
     fewest = -(-keys // (2 * MOST_BINS))
