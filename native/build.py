@@ -1,10 +1,10 @@
 """Build the native library: the kernels as machine code for levels of processors, and the extension that calls them.
 
-    python native/build.py                     for this machine's level, if it is not there already
-    python native/build.py --gpu               the threads' functions as PTX, too; otherwise, a GPU's first use makes it
+    python native/build.py                     for this machine's level, unless it is built already
+    python native/build.py --gpu               also the threads' functions as PTX; otherwise, a GPU's first use makes it
     python native/build.py --levels all --gpu  for all levels of this architecture, as a wheel has them
-    python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
-    python native/build.py --log FILE          build in the background, and write messages into a file
+    python native/build.py --to FOLDER         into a folder, instead of next to `src/loewner/_native/library.py`
+    python native/build.py --log FILE          in the background, with messages written to a file
 
 A build takes Numba, NumPy's headers and a C compiler. For this machine's level, groups of kernels can be used as soon
 as they are compiled, and callers of other kernels wait for them (`library.py`). Files for other machines are built as a
@@ -47,7 +47,7 @@ from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner.gpu import _ptx  # noqa: E402
 
 # For each architecture: the levels, best first, and LLVM's features for each level. Without the feature of level 4,
-# LLVM uses only half of the width of its registers.
+# LLVM uses only half the width of its registers.
 LEVELS = {
     "x86_64": {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": ""},
     "arm64": {"arm64": ""},
@@ -160,7 +160,7 @@ def told(level: str) -> dict[str, str]:
 
 
 def machine_level(folder: Path) -> str:
-    """Level of this machine's processor, from the extension that was built, or from one made in a folder."""
+    """Level of this machine's processor, from the extension that was built, or from one compiled in a folder."""
     if built := built_levels():
         return built[0]
     if not (folder / CALL).exists():
@@ -183,7 +183,7 @@ def build(
     Returns
     -------
     list of Path
-        The files made; their list comes last.
+        The finished files; the file that lists them comes last.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def build(
     """
     before = source_hash()
     if not (work / CALL).exists():
-        # Compile the extension first, because its compilation fails at once if no compiler is installed.
+        # Compile the extension first, because its compilation fails immediately if no compiler is installed.
         compile_extension(work / CALL)
     with ThreadPoolExecutor() as pool:
         what = f"{len(ENTRIES)} kernels for {' and '.join(levels)}, which takes one to five minutes on two cores"
@@ -217,8 +217,8 @@ def build(
                 done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
                 publish([early, work / CALL], home, entries=done)
 
-        # Start the check first. While it runs, one process fewer compiles the modules that all processes import to byte
-        # code.
+        # Start the check first. While it runs, there is one process fewer that compiles to byte code the modules that
+        # all processes import.
         check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
         commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
         functions = build_all(commands, objects, hand_out)
@@ -279,7 +279,7 @@ def build_all(
     """Run commands in separate processes, as many at a time as the machine has processors; count functions.
 
     Whenever more objects are finished, call `hand_out` with all finished objects. Every ten seconds, print the kernels
-    in work and an estimate of the remaining time, from the progress so far.
+    in progress and an estimate of the remaining time, from the progress so far.
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
@@ -365,7 +365,7 @@ def compile_api(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
-    """Link object files and the parts of Numba's run time that they need; only libm may be needed besides."""
+    """Link object files and the parts of Numba's run time that they need; apart from these, only libm may be needed."""
     strict = [] if MAC or WINDOWS else ["-Wl,-z,defs", "-Wl,--gc-sections", "-lm"]
     compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict], to)
 
@@ -392,7 +392,7 @@ def folder_for(home: Path) -> Path:
 
 @contextmanager
 def locked(home: Path, held: int | None) -> Iterator[int | None]:
-    """Let one process at a time build; other processes wait, and find everything built.
+    """Let one process at a time build; other processes wait, and then find everything built.
 
     The lock can be handed on to another process, by its number.
     """

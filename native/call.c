@@ -159,7 +159,7 @@ static PyObject *kernel_call(Kernel *kernel, PyObject *const *given, Py_ssize_t 
     Py_BEGIN_ALLOW_THREADS
     code = kernel->function(arguments, results);
     Py_END_ALLOW_THREADS
-    if (code != 0) /* Kernels raise no error except for lack of memory. */
+    if (code != 0) /* The only error that kernels raise is lack of memory. */
         return PyErr_Format(PyExc_MemoryError, "an allocation failed in %U", kernel->name);
     if (kernel->results == 0)
         Py_RETURN_NONE;

@@ -15,8 +15,8 @@ Numba reads the level from the environment when it is imported. The machine code
 processor may be of a lower level.
 
 All code is kept in the store (`loewner/_kernels/_store.py`), so that processes share the functions that several entries
-call. After an edit, only the functions that may depend on it are compiled, and only the groups that contain one of
-them.
+call. After an edit, only the functions that may depend on it, and the groups that contain such a function, are compiled
+again.
 """
 
 import ctypes
@@ -32,7 +32,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-# Numba imports SciPy if it is there. No kernel needs SciPy, and pip may be writing its files at this moment.
+# Numba imports SciPy if it is installed. No kernel needs SciPy, and pip may be writing its files at this moment.
 if __name__ == "__main__":
     sys.modules["scipy"] = None
 
@@ -203,8 +203,8 @@ def compiled(entry: Entry):
 def shim(module: ir.Module, entry: Entry, result) -> None:
     """Add ``int32 loewner_NAME(int64 *arguments, int64 *results)``, which calls an entry as Numba does.
 
-    A number takes a slot. An array takes a slot for its address and one for each of its lengths. As a result, an array
-    also takes a slot before these, for the address of its memory's description, which the caller has to release.
+    A number takes a slot. An array takes a slot for its address and one for each of its lengths. If the array is a
+    result, another slot comes before these: the address of its memory's description, which the caller has to release.
     """
     context, signature = result.target_context, result.signature
     pointer = SLOT.as_pointer()
@@ -452,10 +452,10 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
     first_objects = [folder / f"{level}-{group}.o" for group in groups if group not in later]
 
     def waited() -> bool:
-        """Return whether an object that programs wait for is not taken; each of two processes can then make one."""
+        """Return whether an object that programs wait for is not yet taken; each of two processes can then make one."""
         return not all(path.with_suffix(".taken").exists() for path in first_objects)
 
-    # A parent that is killed cannot end its processes, so that each process checks that the parent still runs.
+    # A parent that is killed cannot end its processes. Therefore, each process checks that the parent still runs.
     while (objects or codes) and os.getppid() == parent:
         to, needed = next(iter(objects.items()), (None, []))
         if to is not None and all(map(Path.exists, needed)):

@@ -3,7 +3,7 @@
 For each kernel of ``entries.py``, the header declares a struct of its arguments. The types come from its signature, and
 the names of its parameters from its source, because importing the source would need Numba. A kernel with several
 results has a struct for its results, too. The header also has the kernels' signatures, the tables of arrays that
-kernels take by their address, and constants. The build writes the header beside the files that it makes.
+kernels take by their address, and constants. The build writes the header next to the files that it makes.
 """
 
 import ast
@@ -124,7 +124,7 @@ def type_of(word: str, array: str) -> str:
 
 
 def result_names(function: ast.FunctionDef, count: int) -> list[str]:
-    """Names of a kernel's results: names of variables, if any of its returns has a different variable for each."""
+    """Names of a kernel's results: names of variables, if any return statement has a different variable for each."""
     for node in ast.walk(function):
         if isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple):
             names = [ast.unparse(value).partition("[")[0].rpartition(".")[2] for value in node.value.elts]

@@ -1,7 +1,7 @@
 """Install what programs in C and C++ need below a prefix: headers, libraries, and files for CMake and pkg-config.
 
     python native/install.py PREFIX              the library that was built for this machine
-    python native/install.py PREFIX --levels all    for all processors of this architecture; built if it is not there
+    python native/install.py PREFIX --levels all    for all processors of this architecture; built if necessary
 
 The installed files need neither Python nor any other part of loewner.
 """

@@ -2,9 +2,9 @@
 
     python native/sanitize.py
 
-The extension and the library for C are compiled into `build/sanitize`, a copy of the package, beside the kernels that
-were built already; the kernels are not examined. A report ends the tests, and the exit status is 1. The run takes gcc
-with its libasan and libtsan, on Linux. The sanitizer for threads watches a program with eight threads,
+The extension and the library for C are compiled into `build/sanitize`, a copy of the package, next to the kernels that
+were built already; the kernels are not examined. A report ends the tests, and the exit status is 1. The run needs gcc
+with libasan and libtsan, on Linux. The sanitizer for threads watches a program with eight threads,
 `tests/capi_threads.c`, because it cannot watch Python.
 """
 
@@ -80,7 +80,7 @@ def threads_are_clean(to: Path) -> bool:
 def runtime() -> str:
     """Libraries that a program compiled without the sanitizer has to load first.
 
-    One is the library of C++, because the sanitizer looks for its functions at the start, and Python loads it later.
+    One library is the C++ library: the sanitizer looks for its functions at the start, but Python loads it later.
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
     commands = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
@@ -92,7 +92,7 @@ def runtime() -> str:
 
 
 def environment(to: Path) -> dict[str, str]:
-    """Variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
+    """Environment variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
     # Leaks are ignored, because Python and NumPy release some memory only at the end. Allocations may fail, because
     # tests request more memory than the machine has.
     report = f"'{to / 'report'}'"  # The path is quoted, because blanks divide options.

@@ -14,7 +14,7 @@
 /* Return at least `size` bytes to which kernels may write, and which belong to this thread; NULL if they cannot be
    allocated. The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of
    its results: the handler of a signal waits until the interpreter continues, and no Python object is allocated before
-   that. A thread therefore never needs this memory twice at a time. */
+   that. A thread therefore never needs this memory for two calls at the same time. */
 void *thread_memory(size_t size);
 
 /* Call a kernel, and let other threads run meanwhile if `is_long`. Return the kernel's code, which is 0 unless memory

@@ -256,9 +256,9 @@ static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
     return holds;
 }
 
-/* Return the next of the ticks from..to of the last chunk that agree with a measured state, the nearest first; -1 if no
-   more ticks agree. Several ticks agree if the robot is slow. The tick of the present time comes first, even if the
-   world is at rest. `off` and `tick` have the values of the previous call; for the first call, both are -1. */
+/* Return the next tick, among from..to of the last chunk, that agrees with a measured state, the nearest tick first; -1
+   if no more ticks agree. Several ticks agree if the robot is slow. The tick of the present time comes first, even if
+   the world is at rest. `off` and `tick` have the values of the previous call; for the first call, both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -550,7 +550,7 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
-            /* The speed to the first target is counted from the measured `q`, not from the command. */
+            /* The speed to the first target is computed from the measured `q`, not from the command. */
             double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0);
             if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
                 *joint = (int32_t)c;

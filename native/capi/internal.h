@@ -22,7 +22,7 @@ loewner_status no_memory(void);
 /* Write the address of new memory, all zero, to a field. */
 loewner_status allocate(void *field, size_t size);
 
-/* Give the memory at the address in a field another size, and write its new address; the field may hold NULL. */
+/* Resize the memory whose address is in a field, and write its new address; the field may hold NULL. */
 loewner_status enlarge(void *field, size_t size);
 
 #define TRY(call)                                                                                                      \

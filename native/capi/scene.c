@@ -239,7 +239,8 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved, in the same memory. No other thread may query this checker meanwhile. */
+/* Place the static bodies that have moved, in the same memory. No other thread may query this checker in the
+   meantime. */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,

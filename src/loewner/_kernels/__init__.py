@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-# In a wheel, an archive holds the modules that only Numba reads (`_sources.LOOSE` lists the other modules), because
-# installers would compile loose modules to byte code, which is larger than the sources.
+# In a wheel, the modules that only Numba reads are in an archive; `_sources.LOOSE` lists the other modules. Installers
+# would compile loose modules to byte code, which is larger than the sources.
 __path__.append(str(Path(__file__).with_name("sources.zip")))

@@ -1,12 +1,12 @@
-"""Products fused with sums, in each function separately, so that nothing else decides the last bits of a result.
+"""Fuse products with sums in each function separately, so that the last bits of a result depend on nothing else.
 
-LLVM may fuse a product with a sum if both carry the flag ``contract``. By default, it does so at the very end, when
-functions have been copied into their callers; the choice then depends on the callers, on the order of linking and on
-the processor. Here, each function is rewritten as soon as its own passes have run, before it is linked with any other.
-A product that is used once, by a sum of the same block, becomes a call of ``llvm.fma``, and the flag is dropped
-everywhere. A fused product has one rounding less, so that every error bound holds either way.
+LLVM may fuse a product with a sum if both carry the flag ``contract``. By default, LLVM does so at the very end, after
+functions have been copied into their callers. Its choice then depends on the callers, the order of linking and the
+processor. Here, each function is rewritten as soon as its own passes have run, before it is linked with any other. A
+product that is used once, by a sum of the same block, becomes a call of ``llvm.fma``, and the flag is dropped
+everywhere. A fused product has one rounding fewer, so every error bound holds either way.
 
-A processor without a fused instruction rounds every product, so that the last bits of its answers differ.
+A processor without a fused instruction rounds every product, so the last bits of its answers differ.
 """
 
 import re
@@ -24,7 +24,7 @@ _MARK = "contract"
 
 @cache
 def can_fuse(cpu: str, features: str) -> bool:
-    """Return whether a processor multiplies and adds in one instruction; otherwise, LLVM would call a function."""
+    """Return whether a processor can multiply and add in one instruction; on others, LLVM would call a function."""
     probe = llvm.parse_assembly(
         "declare double @llvm.fma.f64(double, double, double)\n"
         "define double @probe(double %x) {\n"
@@ -37,7 +37,7 @@ def can_fuse(cpu: str, features: str) -> bool:
 
 
 def fused(module: Any, can_fuse: bool) -> Any:
-    """Return a module of LLVM whose products are fused with sums, function by function, and which has no flags left."""
+    """Return an LLVM module with its products fused with sums, function by function, and without ``contract`` flags."""
     text = str(module)
     if f" {_MARK} " not in text:
         return module
@@ -55,13 +55,13 @@ def fused(module: Any, can_fuse: bool) -> Any:
 
 
 def _name(kind: str) -> str:
-    """Name of the intrinsic for a kind of numbers: ``double``, ``float``, or a vector of either."""
+    """Name of the intrinsic for a kind of number: ``double``, ``float``, or a vector of either."""
     count, _, element = kind.strip("<>").rpartition(" x ")
     return f"@llvm.fma.{f'v{count}' if count else ''}f{64 if element == 'double' else 32}"
 
 
 def _of_function(text: str, used: set[str]) -> str:
-    """Rewrite the text of a function; `used` gains the kinds of numbers in fused products."""
+    """Rewrite the text of a function; add the kinds of numbers in its fused products to `used`."""
     lines = text.split("\n")
     uses = Counter(_VALUE.findall(text))  # The definition of a name counts as a use.
     products = dict[str, tuple[int, str, str]]()  # Line and factors of each product in the current block.

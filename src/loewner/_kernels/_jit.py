@@ -32,8 +32,8 @@ _config: Any = numba.config  # Numba's settings are created at run time and have
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so that every error bound
-# stays valid. Options that reorder operations, or assume that no number is NaN, are not allowed here.
+# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so every error bound stays
+# valid. Options that reorder operations, or assume that no number is NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 
@@ -108,7 +108,7 @@ def _modules_of_type(kind: Any) -> set[str]:
 class _Cache(NullCache):
     """Compiled code of one kernel in the store: one file for each signature, as a part or as an entry.
 
-    Faults of the disk raise no errors here: code that cannot be read is compiled, and code that cannot be written stays
+    Disk faults raise no errors here: code that cannot be read is compiled again, and code that cannot be written stays
     in memory.
     """
 
@@ -189,7 +189,7 @@ class _Cache(NullCache):
                 _parts.keep(key, data.library)
 
     def _expect_imported(self, library: Any, behind: frozenset[str]) -> None:
-        """Refuse a call of a kernel whose sources are not in the key, because edits of them would go unnoticed."""
+        """Refuse a call to a kernel whose sources are not in the key: edits to these sources would go unnoticed."""
         for part in library.called:
             home = getattr(part, "home", "").removeprefix("loewner._kernels.").replace(".", "/")
             if home in _store.modules_behind("") and home not in behind:
@@ -229,7 +229,7 @@ class _Kernel(_Stored):
     """A compiled function in up to two forms: a part of the kernels that call it, and a function that Python calls.
 
     Numba compiles every function in both forms, although most functions are called only by other kernels. The unused
-    wrappers, full optimisation and machine code took two fifths of the time of a compilation.
+    wrappers, their full optimisation and their machine code took two fifths of the compile time.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
@@ -260,7 +260,7 @@ class _Kernel(_Stored):
 
 
 class _Callable(_Stored):
-    """The form of a kernel that Python calls, through the kernel."""
+    """The form of a kernel that Python calls; the calls go through the kernel."""
 
     def __init__(self, kernel: _Kernel, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options, pipeline_class=_parts.CallableCompiler)
@@ -270,7 +270,7 @@ class _Callable(_Stored):
     def add_overload(self, cres: Any) -> None:
         """Register the code with the kernel; Numba calls this under a lock, once for each signature.
 
-        The kernel could not choose between two equal signatures, and would compile at every call.
+        Given two equal signatures, the kernel could not choose, and would compile at every call.
         """
         kernel: Any = self._kernel
         kernel._insert([kind._code for kind in cres.signature.args], cres.entry_point, False)
@@ -311,9 +311,9 @@ def inline(function: Callable[..., Any]) -> Any:
 def borrowed(typingctx: Any, array: Any) -> Any:
     """borrowed(array): the array without its reference count.
 
-    Numba counts references atomically wherever an array passes through a function, inlined or not. In the kernels,
-    counting takes most of the time of a short search; passing on a borrowed array costs nothing. Borrow only arrays
-    that the caller keeps alive: arguments, and entries of argument tuples, never arrays that the function makes itself.
+    Numba counts references atomically wherever an array passes through a function, inlined or not. In a short search,
+    this counting takes most of the time. Passing on a borrowed array costs nothing. Borrow only arrays that the caller
+    keeps alive: arguments, and entries of argument tuples, never arrays that the function makes itself.
     """
     if not isinstance(array, types.Array):
         return None

@@ -1,4 +1,4 @@
-"""The names that kernels and their build use of Numba beyond its documented interface: imported only here.
+"""The undocumented names of Numba that the kernels and their build use; no other module imports them.
 
 A new Numba may rename the objects imported here, or change their parameters. `tests/test_numba.py` lists each object
 with its purpose, and fails with the name that has changed.

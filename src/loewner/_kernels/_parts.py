@@ -75,7 +75,7 @@ def _usual_machine(triple: str) -> Any:
 
 
 class PartLibrary(_FusedLibrary):
-    """Intermediate code of one part alone; the parts that it calls are linked once, with everything that calls them.
+    """Intermediate code of one part alone; each part that it calls is linked only once, together with all callers.
 
     Numba links a copy of every function into each of its direct and indirect callers. Here, only Numba's own functions
     are copied, and hidden, because their names differ between processes.
@@ -177,7 +177,7 @@ def keep(key: str, part: PartLibrary) -> None:
 def everything_called(
     libraries: Iterable[JITCodeLibrary], without: Collection[JITCodeLibrary] = ()
 ) -> list[JITCodeLibrary]:
-    """Return libraries and everything that they call, each once, except `without` and parts that only these call."""
+    """Return libraries and all that they call, each once, except `without` and the parts that only `without` calls."""
     reached = dict.fromkeys(library for library in libraries if library not in without)
     waiting = list(reached)
     while waiting:
@@ -188,7 +188,7 @@ def everything_called(
     return list(reached)
 
 
-CHUNK = 32  # Modules are linked CHUNK at a time, because linking takes longer the larger the receiving module is.
+CHUNK = 32  # Link CHUNK modules at a time, because linking to a larger module takes longer.
 
 
 def in_one(modules: list[Any]) -> Any:
@@ -203,7 +203,7 @@ def in_one(modules: list[Any]) -> Any:
 
 
 def linked(libraries: Iterable[JITCodeLibrary]) -> Any:
-    """Return a module with libraries and everything that they call, each once."""
+    """Return a module that contains libraries and everything that they call, each once."""
     return in_one([library._final_module.clone() for library in everything_called(libraries)])
 
 
@@ -276,7 +276,7 @@ class CallableCompiler(Compiler):
 
 
 class ApartCompiler(PartCompiler):
-    """Numba's compiler, for large parts with several callers, which should not be copied into each of them."""
+    """Numba's compiler, for large parts that should not be copied into each of their callers."""
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function that LLVM may not inline."""

@@ -1,7 +1,7 @@
 """Files that reveal damage: a header, the checksum of the content, and the content, written atomically.
 
-Machine code from a damaged file can crash the process or, worse, return wrong answers. From a file that was truncated,
-altered or never sealed, no content is returned.
+Machine code from a damaged file can crash the process or, worse, return wrong answers. `read` returns no content from a
+file that was truncated, altered or never sealed.
 """
 
 import hashlib

@@ -1,9 +1,9 @@
 """Compiled code on disk: one sealed file for each function, under a key of everything that determines the code.
 
-Numba's own cache notices changes only in a function's own file, not in other files whose functions it calls, and the
-cache trusts any file. Stale or damaged collision code is dangerous. Here, a key contains the sources of the function's
-module and of all modules that it imports. Code survives edits of other files, and an edit of any file on which it may
-depend gives it another key. A damaged file is replaced.
+Numba's own cache notices changes in a function's own file, but not in the files of other functions that it calls. It
+also trusts the content of any cache file. Stale or damaged collision code is dangerous. Here, a key contains the
+sources of the function's module and of all modules that it imports. The key changes with an edit to any such module,
+but not with edits to other files. A damaged file is replaced.
 
 The folder is ``$LOEWNER_CACHE_DIR`` if set, otherwise it is in the platform's cache folder of the user. The native
 library's build shares the folder with Numba on machines without the library.
@@ -84,9 +84,9 @@ def hash_of(modules: frozenset[str]) -> str:
 
 @cache
 def expect_as_read(module: str) -> None:
-    """Keep nothing in this process from now on if a kernel module being imported was edited after `_texts` ran.
+    """Stop keeping code in this process if the kernel module being imported was edited after `_texts` ran.
 
-    The code of the module would get the key of the sources before the edit.
+    Otherwise, the module's code would get the key of the sources from before the edit.
     """
     name = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
     path = Path(_sources.__file__).parent / f"{name}.py"  # An archive is never edited.
@@ -95,7 +95,7 @@ def expect_as_read(module: str) -> None:
 
 
 def is_usable() -> bool:
-    """Return whether sources can be read and are the imported ones; otherwise, nothing may be kept."""
+    """Return whether the sources can be read and are the ones that were imported; otherwise, no code may be kept."""
     return bool(_texts()) and not _edited
 
 
@@ -126,7 +126,7 @@ def write(key: str, content: bytes) -> None:
 
 
 def remove_unused() -> None:
-    """Remove files that have not been read for a month, because every edit of a source leaves some files behind."""
+    """Remove files that have not been read for a month: every edit of a source leaves unused files behind."""
     with suppress(OSError):
         for path in FOLDER.iterdir():
             with suppress(OSError):
@@ -136,10 +136,10 @@ def remove_unused() -> None:
 
 @contextmanager
 def claimed(key: str) -> Iterator[None]:
-    """Let one process at a time compile the code with a key; other processes wait, and then find it.
+    """Let one process at a time compile the code with a key; other processes wait, and then read the code.
 
     A claim is a lock on a file, which ends with the process that holds it. Kernels never call each other in circles, so
-    that no two processes wait for each other. If files cannot be locked, several processes compile the same code.
+    no two processes wait for each other. If files cannot be locked, several processes compile the same code.
     """
     if sys.platform == "win32" or path_of(key).exists():
         yield

@@ -4,11 +4,11 @@ FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 
 # Codes in place of a verdict. INEXACT means that exact integers must decide (`fallback`). LEFT means that a GPU thread
 # leaves the pair to the CPU; LEFT outranks AMBIGUOUS, see `threads.pairs`. A motion is TOO_LONG if it takes too many
-# intervals. BY_CARE means that the motion collides if `collide` confirms this; UNFINISHED, that no steps are left; and
-# MAY_BE_HIT, that a body may be hit, but not at its given pose.
+# intervals. BY_CARE means that the motion collides if `collide` confirms this. UNFINISHED means that no steps are left.
+# MAY_BE_HIT means that a body may be hit, but not at its given pose.
 INEXACT, LEFT, TOO_LONG, BY_CARE, UNFINISHED, MAY_BE_HIT = 3, 4, 5, 6, 7, 8
 
-# This limit on steps is never reached; it serves proofs without a limit.
+# A limit on steps that is never reached, for proofs without a limit.
 NO_LIMIT = 2**62
 
 # Largest number of intervals into which a motion is cut before any interval is halved.

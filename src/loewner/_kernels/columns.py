@@ -33,10 +33,11 @@ PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
 BLOCK = 8  # A block has BLOCK points, see `pieces.support`.
 CACHE_LINE = 64  # A cache line has CACHE_LINE bytes.
 
-# A polytope with more than LARGE vertices is MAPPED. With fewer, searching all vertices is as fast as using a map.
+# A polytope with more than LARGE vertices is MAPPED. For a smaller polytope, searching all vertices is as fast as using
+# a map.
 LARGE = 128
-# Limit on the divisions of a cell, which is needed because the vertices of a flat face share the cells around the
-# face's normal.
+# Limit on the divisions of a cell. Without a limit, a flat face would never end them, because all its vertices share
+# the cells around its normal.
 DEEPEST = 14
 GRID = 1 << DEEPEST
 
@@ -97,4 +98,4 @@ MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
 
 LEAST, MOST, HOW, RANGE = 0, 1, 2, 3  # Rows of the ranges of values.
-PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # Entries of the row HOW: the way in which a value moves.
+PLAIN, HELD, WRAPS, FAR, TURNS, REST = 0, 1, 2, 3, 4, 5  # Entries of the row HOW: how a value moves.

@@ -1,8 +1,8 @@
 """Elementary functions of numbers, within three units in the last place, with the same bits on every machine.
 
-The C libraries of two systems differ in the last bits of a sine or a logarithm, so that results that two machines
-compare must not come from them. Integers, signs and exponents are exact; everything else is a polynomial of a small
-argument, whose operations are rounded as usual. NaN gives NaN.
+The C libraries of two systems may differ in the last bits of a sine or a logarithm. Results that must agree on two
+machines are therefore computed here. Integers, signs and exponents are exact; everything else is a polynomial in a
+small argument, whose operations are rounded as usual. NaN gives NaN.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ from loewner._kernels.codes import (
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import absolute, power_of_two, round_to_even, select, signed_one, sqrt
 
-# LOG_2 is log 2 as a sum of two doubles. The first double has 32 bits, so that its products with an exponent are exact.
+# LOG_2 is log 2 as a sum of two doubles. The first double has 32 bits, so its products with an exponent are exact.
 LOG_2 = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
 
 # PI is π as a sum of two doubles.
@@ -73,7 +73,7 @@ def bits_of(typingctx, x):
 
 @intrinsic
 def number_of(typingctx, bits):
-    """Make a float64 of the bits of an integer."""
+    """Return the float64 that has the bits of an integer."""
 
     def generate(context, builder, sig, args):
         return builder.bitcast(args[0], ir.DoubleType())
@@ -83,7 +83,7 @@ def number_of(typingctx, bits):
 
 @inline
 def _reduced_exponential(x, k):
-    """e^x / 2^k, for a number or for eight, where k is the integer nearest to x / log 2."""
+    """e^x / 2^k for one number or for eight, where k is the integer nearest to x / log 2."""
     r = (x - k * LOG_2[0]) - k * LOG_2[1]
     p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # The coefficients are 1/13!, 1/12!, and so on.
     p = p * r + 1.0 / 39916800.0

@@ -2,7 +2,7 @@
 
 Vectors are tuples of three numbers, matrices are tuples of nine in row order, and symmetric matrices are tuples of six
 in the order xx, xy, xz, yy, yz, zz. A number may be a float, or a vector of the `simd` package with one entry for each
-of several pairs. Everything is inlined, so that tuples cost nothing.
+of several pairs. Everything is inlined, so tuples cost nothing.
 """
 
 from loewner._kernels._jit import inline

@@ -14,8 +14,8 @@ def irrationals(strides, shifts):
     """Compute powers of the root of x^(d + 1) = x + 1 (the golden ratio for d = 1), and numbers independent of them.
 
     Multiples of the powers, modulo 1, fill the unit cube evenly. The root is found by halving the interval from 1 to 2
-    until its ends are neighbours. Products are rounded one by one, so that the points do not depend on a library's
-    power function, whose last bit depends on the processor.
+    until its ends are neighbours. Powers are computed as products that are rounded one by one, because the last bit of
+    a library's power function depends on the processor.
 
     Parameters
     ----------

@@ -133,12 +133,12 @@ class Search(NamedTuple):
     lower, upper : ndarray, shape (joints,)
         Range from which values are drawn. For turning values, the kernels write half a turn to either side of `start`.
     stride, shift : ndarray, shape (joints,)
-        The k-th draw is the fractional parts of shift + k stride. The kernels write both arrays.
+        The k-th draw consists of the fractional parts of shift + k stride. The kernels write both arrays.
     weights : ndarray, shape (joints,)
         Factors by which differences count in distances.
     reach : ndarray, shape (3,)
         The longest motion of a tree; an upper bound on the cost of a path, infinite if any cost is allowed; and how
-        near to each other the trees came. The kernels write these entries, and a caller may change the first two.
+        close the trees came to each other. The kernels write these entries, and a caller may change the first two.
     state : ndarray of int64, shape (columns.STATE,)
         Counts and results of the search, see `columns`.
     start : ndarray, shape (dof,)

@@ -35,7 +35,7 @@ CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 # bounds.
 STRETCH = 1e-5  # certified.md B29
 
-# Squares of lengths below LEAST_SQUARE have lost digits, so that dividing by their roots does not give a unit vector.
+# Squares of lengths below LEAST_SQUARE have lost digits, so dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
 LEAST = 1e-15  # LEAST is a length far below all others, which keeps squares from underflowing.

@@ -16,7 +16,7 @@
 
    LIMITS of joints are ignored, except by `loewner_checker_plan` and gates.
 
-   THREADS. Any number of threads may query a checker or bodies at the same time, each with a workspace of its own; a
+   THREADS. Any number of threads may query a checker or bodies at the same time, each with its own workspace; a
    workspace that another thread is using is refused. A function that takes a `loewner_checker *` that is not const
    changes the checker, and no other thread may use this checker during the call.
 
@@ -89,8 +89,8 @@ LOEWNER_API void loewner_workspace_free(loewner_workspace *workspace);
 /* Open a file that `CollisionChecker.save` wrote.
 
    The file is mapped into memory, and must not change while the checker is open; replacing it with a new file of the
-   same name is safe. Sizes, indices and numbers are checked, so that no file can cause accesses outside the file.
-   Whether the ellipsoids in the file fit its shapes is not checked. */
+   same name is safe. Sizes, indices and numbers are checked, so that no file can cause accesses outside the file. There
+   is no check that the ellipsoids in the file fit its shapes. */
 LOEWNER_API loewner_status loewner_checker_open(const char *path, loewner_checker **checker);
 LOEWNER_API void loewner_checker_close(loewner_checker *checker);
 
@@ -187,9 +187,9 @@ LOEWNER_API loewner_status loewner_checker_certify_edges(const loewner_checker *
                                                          const loewner_proof_options *options, int8_t *verdicts,
                                                          double *fractions, int32_t (*bodies)[2]);
 
-/* Find whether each of n straight motions is proven free (1) or not (0), for motion validators. The answers are those
-   of `..._certify_edges`, but take less time if many motions collide, since the workspace learns which pairs collide.
-   `options` may be NULL. */
+/* Find whether each of n straight motions is proven free (1) or not (0), for motion validators. The function gives the
+   same answers as `..._certify_edges`, but takes less time if many motions collide, since the workspace learns which
+   pairs collide. `options` may be NULL. */
 LOEWNER_API loewner_status loewner_checker_motions_free(const loewner_checker *checker, loewner_workspace *workspace,
                                                         const double *starts, const double *ends, size_t n,
                                                         const loewner_proof_options *options, int8_t *is_free);
@@ -333,7 +333,7 @@ typedef struct {
 /* Make a gate for chunks of up to `most_targets` targets: the counterpart of Python's `loewner.planners.Gate`, whose
    page states its claims. A gate is not a safety function in the sense of IEC 61508 or ISO 13849. The robot must have
    no floating and no ball joints, and targets must be within `loewner_checker_limits`. The checker must live longer
-   than the gate; its scene may change between checks. A gate has memory of its own, for one thread at a time. A check
+   than the gate; its scene may change between checks. A gate has its own memory, for one thread at a time. A check
    allocates no memory, unless changes of the scene go beyond poses and bounds of bodies, or a new chunk begins within
    rounding of contact. A check waits for no other thread, unless both are the first to query a checker whose scene has
    changed. */

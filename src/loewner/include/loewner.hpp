@@ -1,8 +1,8 @@
-/* loewner.hpp: `loewner.h` for C++17, with owners that close what they hold, and vectors and views instead of pointers.
+/* loewner.hpp: `loewner.h` for C++17, with owners that close their objects, and vectors and views instead of pointers.
 
    All functions here are inline, and thus part of the calling program; the library itself throws no exceptions. A
    status other than OK becomes a `loewner::Error`. The rules of `loewner.h` for units, shapes, ownership and threads
-   apply here, too. */
+   also apply here. */
 
 #ifndef LOEWNER_HPP
 #define LOEWNER_HPP

@@ -4,9 +4,9 @@ With shape matrices P and Q, r = b - a and K(s) = (1-s) P + s Q, the function
 
     F(s) = s (1-s) rᵀ K(s)⁻¹ r
 
-is concave on [0, 1], and the ellipsoids overlap exactly if max F <= 1. In 3-D, F = s(1-s) q(s)/d(s), where the
-coefficients of the quadratic q and the cubic d are computed once, so that a Newton step takes a few scalar operations.
-The proofs trust neither F nor s: n = K⁻¹ r and the points a + (1-s) P n = b - s Q n are checked separately (see
+is concave on [0, 1], and the ellipsoids overlap exactly if max F <= 1. In 3-D, F = s(1-s) q(s)/d(s) with a quadratic q
+and a cubic d. Their coefficients are computed once, so a Newton step takes only a few scalar operations. The proofs
+trust neither F nor s: n = K⁻¹ r and the points a + (1-s) P n = b - s Q n are checked separately (see
 docs/certified.md).
 
 P and Q are symmetric matrices, and r and n are vectors, as in `linalg3`. All functions are pure and branch-free, and
@@ -28,14 +28,14 @@ def position_error(size, unit):
     """Bound on the rounding error of a position, or of its product with a unit vector, with roundoff `unit`.
 
     `size` is the sum of the lengths from which the position is computed. All proofs about positions take their slack
-    from here, so that a term added here is added everywhere.
+    from here, so a term added here is added everywhere.
     """
     return POSITION_ERROR * unit * size
 
 
 @inline
 def polynomials(P, Q, r):
-    """Coefficients of F, and a start for the search for its maximum.
+    """Coefficients of F, and a first value of s for the search for its maximum.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def newton_step(d, q, s):
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so that a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
+    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -133,8 +133,8 @@ def outward_width(P, n, squared_length):
 def separation(P, Q, r, n, size):
     """Certified lower bound on the signed distance of two ellipsoids along the direction n.
 
-    `size` is the sum of the lengths from which r is computed. Any n gives a valid bound, of either sign. NaN or a
-    vanishing n give NaN, which compares false with everything.
+    `size` is the sum of the lengths from which r is computed. Any n gives a valid bound, which may be negative. If n is
+    zero or contains NaN, the bound is NaN, and every comparison with NaN is false.
     """
     squared = dot(n, n)
     width_p, _ = outward_width(P, n, squared)
@@ -146,17 +146,18 @@ def separation(P, Q, r, n, size):
 def gap_bound(offset, width_p, width_q, length, size):
     """Compute the bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The division rounds as well, so that the bound is lowered by more than this rounding.
+    # The division rounds as well, so the bound is lowered by more than this rounding.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 
 @inline
 def farther_normal(P, Q, y, Pn, Qn, width_p, width_q, length, gap):
-    """A direction along which ellipsoids are farther apart than along n, by a step of Newton's method on the sphere.
+    """Find, by a Newton step on the sphere, a direction along which ellipsoids are farther apart than along n.
 
-    The gap along n is (n·r - √(nᵀPn) - √(nᵀQn)) / |n|. The gradient of the gap is y - gap n/|n|, over |n|, where y is
-    the vector between the near points of n. The second derivative H of both widths takes n to 0, so that a step leads
-    to (|n| H + gap)⁻¹ y, whose length does not matter. The method converges where the gap is positive.
+    The gap along n is (n·r - √(nᵀPn) - √(nᵀQn)) / |n|. The gradient of the gap is (y - gap n/|n|) / |n|, where y is the
+    vector between the near points of n. The matrix H, the sum of the second derivatives of both widths, maps n to 0. A
+    step therefore leads to (|n| H + gap)⁻¹ y, whose length does not matter. The method converges where the gap is
+    positive.
     """
     p, q = length / width_p, length / width_q
     pp, qq = p / (width_p * width_p), q / (width_q * width_q)
@@ -196,7 +197,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either value must be kept, but `maximum` passes on a NaN only in its second argument.
+    # A NaN in either value must be kept, but `maximum` passes on a NaN only from its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
     # A ball of radius (1 - level) σ around the common point lies inside each ellipsoid.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)

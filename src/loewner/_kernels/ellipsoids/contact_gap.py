@@ -1,12 +1,11 @@
 """The gap between the support planes of two ellipsoids along the contact normal, and its derivative for a motion.
 
-The contact normal n = K(s)⁻¹ r, at the s with the greatest contact function F, depends smoothly on both ellipsoids,
-whether they are apart or not, while their centers differ. The gap along the contact normal is smooth, too:
+The contact normal n = K(s)⁻¹ r, at the s with the greatest contact function F, depends smoothly on both ellipsoids as
+long as their centers differ, whether or not the ellipsoids are apart. The gap along the contact normal is smooth, too:
 
     g = (n·r - √(nᵀPn) - √(nᵀQn)) / |n| = n·r/|n| (1 - 1/√F),
 
-This gap, like the gap along any direction, is a lower bound on the signed distance. The names are explained in
-`contact`.
+This gap, like the gap along any direction, is a lower bound on the signed distance. `contact` explains the names.
 """
 
 import numpy as np
@@ -24,8 +23,8 @@ from loewner._kernels.simd.vectors import (
     sqrt,
 )
 
-# Largest numbers of steps with polynomials (STEPS) and with slopes (SLOPES). Four and one usually suffice; for needles,
-# each step with slopes halves the interval.
+# Largest numbers of steps with polynomials (STEPS) and with slopes (SLOPES). Four steps with polynomials and one with
+# slopes usually suffice; for needles, each step with slopes halves the interval.
 STEPS, SLOPES = 12, 60
 
 # Newton's method ends once it moves s by less than SETTLED (with slopes, SETTLED_SLOPE) times s (1 - s).
@@ -52,8 +51,8 @@ def _slope(P, Q, r, s):
         u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
     )  # fmt: skip
     A = adjugate(K)
-    # For needles, no digit of the determinant is correct, perhaps not even its sign. The adjugate is accurate, so that
-    # the direction of n is correct.
+    # For needles, the computed determinant has no correct digit, and even its sign may be wrong. The adjugate is
+    # accurate, so the direction of n is correct.
     inverse = 1.0 / absolute(K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
     n = scaled(inverse, apply_symmetric(A, r))
     Pn, Qn = apply_symmetric(P, n), apply_symmetric(Q, n)
@@ -75,8 +74,8 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # For thin ellipsoids, the polynomials' coefficients have lost digits, and for needles all digits. The search
-    # therefore continues with slopes.
+    # For thin ellipsoids, the polynomials' coefficients have lost digits; for needles, they have lost all digits. The
+    # search therefore continues with slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
@@ -110,12 +109,13 @@ def contact_gap(P, Q, r, s, size):
 
 @inline
 def contact_gap_wrench(P, Q, r, s):
-    """Gradient of g for a motion of b: a force, and its moment about b's center; for a motion of a, it is opposite.
+    """Gradient of g for a motion of b: a force, and its moment about b's center; for a motion of a, negate it.
 
     Let y = r - Pn/√(nᵀPn) - Qn/√(nᵀQn), u = K⁻¹(y - g n/|n|)/|n| and w = 2 K⁻¹((1-s)² P - s² Q) n. The derivative of s
-    contributes k w, where k = u·(Q-P)n / F″ and F″ = -2(1-s) nᵀPn - 2s nᵀQn - w·(Q-P)n. The derivative by r is n/|n| +
-    u + k w. The derivative by Q is the matrix -(1/(2 √(nᵀQn) |n|) + k s²) nnᵀ - s sym(u + k w, n), which turns by 2
-    vee(Q ·). If the centers coincide, no derivative exists, and the result may be NaN.
+    contributes k w, where k = u·(Q-P)n / F″ and F″ = -2(1-s) nᵀPn - 2s nᵀQn - w·(Q-P)n. The derivative with respect to
+    r is n/|n| + u + k w. The derivative with respect to Q is the matrix D = -(1/(2 √(nᵀQn) |n|) + k s²) nnᵀ - s sym(u +
+    k w, n), which contributes the moment 2 vee(Q D). If the centers coincide, no derivative exists, and the result may
+    be NaN.
     """
     A, inverse, n, Pn, Qn, squared_p, squared_q, w, _, bend = _slope(P, Q, r, s)
     p, q, length = sqrt(squared_p), sqrt(squared_q), sqrt(dot(n, n))

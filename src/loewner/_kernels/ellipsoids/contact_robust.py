@@ -27,7 +27,8 @@ def contact_of_pair(F1, F2, r):
     """Maximum of the contact function, and the s at which it is attained.
 
     F does not change under affine maps. The careful path maps E1 to the unit ball, and then turns the axes of E2 to the
-    coordinate axes. There, F(s) = s(1-s) Σ d_i² / ((1-s) + s q_i) is a sum of positive terms that loses no digits.
+    coordinate axes. In these coordinates, F(s) = s(1-s) Σ d_i² / ((1-s) + s q_i). The terms of this sum are positive,
+    so it loses no digits.
 
     Parameters
     ----------
@@ -63,8 +64,8 @@ def contact_of_pair(F1, F2, r):
 def _aligned(q0, q1, q2, a0, a1, a2):
     """Maximum of s(1-s) Σ a_i / ((1-s) + s q_i) on [0, 1].
 
-    With s = t/(1+t), F' = 0 becomes Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0. The terms strictly decrease in t, so that
-    the only root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t takes 60 halvings.
+    With s = t/(1+t), F' = 0 becomes Σ a_i (1 - t² q_i) / (1 + t q_i)² = 0. The terms strictly decrease in t, so the
+    only root lies between the smallest and the largest 1/sqrt(q_i). Bisection in log t takes 60 halvings.
     """
     if a0 + a1 + a2 == 0.0:
         return 0.0, 0.5

@@ -1,8 +1,8 @@
 """Near points of two 3-D ellipsoids, by pure functions of a pair.
 
-An ellipsoid is {c + F u : |u| <= 1}. All computations are in a frame with its origin at the first center, so that only
-r = c2 - c1 is used, and an offset of the world costs no digits. Vectors are tuples of three floats, and matrices are
-tuples of nine in row order: nothing is allocated.
+An ellipsoid is {c + F u : |u| <= 1}. All computations are in a frame with its origin at the first center. They use only
+r = c2 - c1, so ellipsoids far from the world's origin lose no digits. Vectors are tuples of three floats, and matrices
+are tuples of nine in row order: nothing is allocated.
 
 The methods are 0 Rimon-Boyd, 1 Lin-Han and 2 center line. The statuses are `SEPARATE`, `OVERLAP` (both points are one
 common point, and the distance is 0) and `UNCONVERGED`.
@@ -48,7 +48,7 @@ def squared_norm(M):
 
 @inline
 def inverse(F):
-    """F⁻¹ by cofactors, which do not depend on the scale of F's columns, as the factors of thin ellipsoids require."""
+    """F⁻¹ by cofactors. The scales of F's columns do not matter, which the factors of thin ellipsoids require."""
     s0 = max(abs(F[0]), abs(F[3]), abs(F[6]))
     s1 = max(abs(F[1]), abs(F[4]), abs(F[7]))
     s2 = max(abs(F[2]), abs(F[5]), abs(F[8]))
@@ -73,7 +73,7 @@ def inverse(F):
 
 @inline
 def largest_eigenvalue(G):
-    """Largest eigenvalue of GᵀG, by the trigonometric formula, with an error of a few eps of the value."""
+    """Largest eigenvalue of GᵀG, by the trigonometric formula, with a relative error of a few eps."""
     a = G[0] * G[0] + G[3] * G[3] + G[6] * G[6]
     b = G[1] * G[1] + G[4] * G[4] + G[7] * G[7]
     c = G[2] * G[2] + G[5] * G[5] + G[8] * G[8]
@@ -92,7 +92,7 @@ def largest_eigenvalue(G):
 
 @inline
 def between(a, b):
-    """Angle between two vectors in radians, accurate near zero, too."""
+    """Angle between two vectors in radians, also accurate near zero."""
     x = a[1] * b[2] - a[2] * b[1]
     y = a[2] * b[0] - a[0] * b[2]
     z = a[0] * b[1] - a[1] * b[0]
@@ -106,7 +106,7 @@ def between(a, b):
 def exit_of_ray(G, p, e):
     """Largest t with p + t e in {x : |G x| <= 1}, for p inside; t is in units of |e|.
 
-    A point p that rounding has put outside counts as on the surface, so that a hit always exists.
+    If rounding has put p outside, p counts as a point of the surface, so a hit always exists.
     """
     v = apply(G, e)
     w = apply(G, p)
@@ -122,7 +122,7 @@ def exit_of_ray(G, p, e):
 
 @inline
 def _turn(m, n, f, g):
-    """Apply one Jacobi rotation, which makes columns m and n orthogonal, to columns f and g as well."""
+    """Make columns m and n orthogonal by one Jacobi rotation, and apply the rotation to columns f and g as well."""
     a, b, c = dot(m, m), dot(n, n), dot(m, n)
     if c * c <= 1e-30 * a * b:
         return m, n, f, g, False
@@ -296,7 +296,7 @@ def lin_han(F1, G1, F2, G2, r, angle):
     iterations : int
     status : int
     """
-    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so that a ball of this radius fits inside at x.
+    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so a ball of this radius fits inside at x.
     k1 = 1.0 / largest_eigenvalue(G1)
     k2 = 1.0 / largest_eigenvalue(G2)
     p1, p2 = (0.0, 0.0, 0.0), r
@@ -322,13 +322,13 @@ def lin_han(F1, G1, F2, G2, r, angle):
 def _newton(F1, G1, F2, G2, r, last, angle):
     """Finish a slow Lin-Han pair: find an overlap by level surfaces, or else the best separating direction by Newton.
 
-    Over unit n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where g is positive, it proves
-    separation and is quasi-concave; its maximum is the distance, at the direction of x2 - x1. The near points for n are
-    the two support points, whose normals are n and -n to rounding. Derivatives are in the plane perpendicular to n, so
-    that a gap of 1e-12 is as well conditioned as a gap of 1.
+    For a unit vector n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where g is positive, it
+    proves separation and is quasi-concave; its maximum is the distance, and lies at the direction of x2 - x1. The near
+    points for n are the two support points, whose normals are n and -n up to rounding. Derivatives are taken in the
+    plane perpendicular to n. A gap of 1e-12 is therefore as well conditioned as a gap of 1.
 
-    The method starts from the best of three directions: the normals of the tangent planes at the two level-surface
-    points, which both separate, and the last direction of Lin-Han.
+    The method starts from the best of three directions: the last direction of Lin-Han, and the normals of the tangent
+    planes at the two level-surface points; both planes separate.
     """
     x, level = touch(F1, G2, r)
     if level <= 1.0:
@@ -389,7 +389,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             if gain >= 1e-4 * t * slope:
                 moved = True
             elif gain >= -noise:
-                # Near the maximum, rounding hides the changes in g itself, so that the slope of g decides.
+                # Near the maximum, rounding hides the changes in g itself, so the slope of g decides.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
                 moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness
@@ -404,7 +404,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
 
 @inline
 def _unit(v):
-    """Normalise v, which is scaled first, because normals of thin ellipsoids can have any size."""
+    """Normalise v; scale it first, because normals of thin ellipsoids can have any size."""
     k = 1.0 / max(abs(v[0]), abs(v[1]), abs(v[2]))
     v = (k * v[0], k * v[1], k * v[2])
     k = 1.0 / math.sqrt(dot(v, v))
@@ -440,7 +440,7 @@ def _curvature(F, u, h, e1, e2):
 
 @njit()
 def near_points(method, F1, G1, F2, G2, r, angle):
-    """Near points, by the number of the method.
+    """Near points by the method with a given number.
 
     Returns
     -------

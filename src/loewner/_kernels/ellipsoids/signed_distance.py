@@ -1,27 +1,30 @@
 """Signed distance of two ellipsoids, or of an ellipsoid and a ball; for depths, the global minimum is proven.
 
 With the factors F_A and F_B and the vector c between the centers, h(n) = |F_Aᵀn| + |F_Bᵀn| - n·c is the support
-function of A - B. The least value of h over unit n is the penetration depth if positive, and minus the distance if
-negative. Newton's method on the sphere finds a local minimum to rounding. The method uses the factors themselves, never
-their squares, so that thin ellipsoids keep their digits.
+function of A - B. The least value of h over unit vectors n is the penetration depth if positive, and minus the distance
+if negative. Newton's method on the sphere finds a local minimum to rounding. The method uses the factors themselves,
+never their squares, so thin ellipsoids keep their digits.
 
-A negative minimum is the only one, because A - B is convex. Most other minima are proven to be the least by an
-ellipsoid within A - B. For every orthogonal O, G = F_A + F_B O has |Gᵀm| <= |F_Aᵀm| + |F_Bᵀm| for all m, with equality
-at n if F_Aᵀn and OᵀF_Bᵀn have the same direction. Let h be the minimum, at n, M = G Gᵀ and s = |Gᵀn|; then c is (M - h
-s) n / s. If M - h s is positive definite, no direction is lower: with m of a length such that mᵀMm = s²,
+A negative minimum is the only minimum, because A - B is convex. Most other minima are proven to be global by an
+ellipsoid within A - B. Let n be the direction of the minimum h. For every orthogonal O, G = F_A + F_B O has |Gᵀm| <=
+|F_Aᵀm| + |F_Bᵀm| for all m, with equality for m = n if F_Aᵀn and OᵀF_Bᵀn have the same direction. Let M = G Gᵀ and s =
+|Gᵀn|. Then c is (M - h s) n / s. If M - h s is positive definite, no direction m gives a lower value than h: if m is
+scaled such that mᵀMm = s²,
 
     0 <= (m - n)ᵀ (M - h s) (m - n) = 2 s² - 2 s m·c - h s (|m|² + 1),   so   |Gᵀm| - m·c >= h (|m|² + 1) / 2 >= h |m|.
 
-If this proves nothing, the other minima must be ruled out. By the inequality of Cauchy and Schwarz, (√x + √y)² is the
-minimum of (1 + 1/r) x + (1 + r) y over r > 0, so that
+If this proof fails, lower minima must be ruled out. By the Cauchy-Schwarz inequality, (√x + √y)² is the minimum of (1 +
+1/r) x + (1 + r) y over r > 0, so that
 
     min h = min over r of D(1 + 1/r, 1 + r),   D(p, q) = min over n of √(nᵀ(p P + q Q) n) - n·c,
 
-where D(p, q) is the signed distance of the point c from the boundary of one ellipsoid: a secular equation with one
-root. One dimension is left, and D is concave in (p, q) as a minimum of concave functions. The arc of the hyperbola (p -
-1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point at which the tangents there meet. Hence D
-on the arc is at least its linear interpolation in the triangle. The gap shrinks with the square of the interval, and
-branch and bound over r settles the rest.
+where D(p, q) is the signed distance of the point c from the boundary of one ellipsoid, which follows from the only root
+of a secular equation. Only r is left to search.
+
+D is concave in (p, q), because it is a minimum of concave functions. The arc of the hyperbola (p - 1)(q - 1) = 1
+between r1 and r2 lies in the triangle formed by the arc's ends and the point where the tangents at these ends meet.
+Hence D on the arc is at least its linear interpolation in the triangle. The gap shrinks with the square of the
+interval, and branch and bound over r settles the rest.
 
 References
 ----------
@@ -47,9 +50,9 @@ DAMPING_LIMIT = 1e3  # With a damping above DAMPING_LIMIT times the size, a step
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps.
 MAX_SECULAR = 60  # The secular equation usually takes 4 or 5 steps.
 
-# PROOF_GAP is the largest relative gap that the proof of a global minimum may leave, and MAX_INTERVALS the largest
-# number of intervals that it may examine. The rounding error of D itself is about 1e-15. Both constants are choices,
-# not bounds: they affect the reported gap.
+# PROOF_GAP is the largest relative gap that the proof of a global minimum may leave. MAX_INTERVALS is the largest
+# number of intervals that this proof may examine. The rounding error of D itself is about 1e-15. Both constants are
+# choices, not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
 GROWTH = 16.0  # Ratio between the distances of successive intervals from the minimum, in log r.
@@ -182,7 +185,7 @@ def descend(FA, FB, c, n, size):
 
 @inline
 def _inner_shape(FA, FB, n):
-    """Shape matrix of an ellipsoid within A - B that touches its boundary where the normal is n, and |Gᵀn|."""
+    """Shape matrix of an ellipsoid within A - B that touches the boundary where its normal is n; and |Gᵀn|."""
     u, v = _pulled(FA, n[0], n[1], n[2]), _pulled(FB, n[0], n[1], n[2])
     ha, hb = sqrt(dot(u, u)), sqrt(dot(v, v))
     u, v = scaled(1.0 / ha, u), scaled(1.0 / hb, v)
@@ -190,7 +193,7 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # Choose the rotation or reflection that is still free in O so that it maximises the sum of a1 · b1 and a2 · b2.
+    # A rotation or reflection in O is still free: choose it so that it maximises a1 · b1 + a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -205,7 +208,7 @@ def _inner_shape(FA, FB, n):
 
 @inline
 def is_least(FA, FB, n, h):
-    """Return whether an ellipsoid within A - B proves that the local minimum h, which is at n, is the least."""
+    """Return whether an ellipsoid within A - B proves that h, the local minimum at n, is the global minimum."""
     M, s = _inner_shape(FA, FB, n)
     cut = (1.0 + SPARE) * h * s + PIVOT_ROUNDINGS * UNIT_ROUNDOFF * trace(M)
     one = M[0] - cut
@@ -217,7 +220,7 @@ def is_least(FA, FB, n, h):
 
 @njit()
 def descend_eight(FA, FB, c, n, size, wanted):
-    """Take Newton's steps of `descend` without damping, for eight pairs of ellipsoids at a time.
+    """Take the Newton steps of `descend`, but without damping, for eight pairs of ellipsoids at a time.
 
     Parameters
     ----------
@@ -287,7 +290,8 @@ def _form(M, V, j, k):
 def eigen(M, V):
     """Eigenvalues of a symmetric matrix, unordered, by Jacobi's method.
 
-    V must be orthogonal; the eigenvectors of a similar matrix save work. The columns of V become the eigenvectors.
+    V must be orthogonal at the start; the eigenvectors of a similar matrix save work. The columns of V become the
+    eigenvectors.
     """
     m00, m01, m02 = _form(M, V, 0, 0), _form(M, V, 0, 1), _form(M, V, 0, 2)
     m11, m12, m22 = _form(M, V, 1, 1), _form(M, V, 1, 2), _form(M, V, 2, 2)
@@ -323,8 +327,8 @@ def eigen(M, V):
 def boundary_depth(m0, m1, m2, x, y, z):
     """Minimum of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): the depth of c in the ellipsoid M.
 
-    With the nearest boundary point M w and its normal w, c = (M + t) w for the t > -min m for which wᵀMw = 1. The
-    unknown is t + min m, so that t keeps its digits close to its bound.
+    Let M w be the nearest boundary point and w its normal. Then c = (M + t) w for the one t > -min m with wᵀMw = 1. The
+    unknown is t + min m, which keeps its digits when t is close to its bound.
 
     Returns
     -------
@@ -344,7 +348,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
         total = q0 * q0 + q1 * q1 + q2 * q2
         if not total > 1.0:
             break
-        # Take Newton's step for 1/√total = 1, which never passes the root because the function is concave.
+        # Take a Newton step for 1/√total = 1. The step never passes the root, because the function is concave.
         falling = (
             (q0 * q0 / (g0 + t) if a0 > 0.0 else 0.0)
             + (q1 * q1 / (g1 + t) if a1 > 0.0 else 0.0)
@@ -359,8 +363,8 @@ def boundary_depth(m0, m1, m2, x, y, z):
     w2 = z / (g2 + t) if a2 > 0.0 else 0.0
     level = m0 * w0 * w0 + m1 * w1 * w1 + m2 * w2 * w2
     if t == 0.0 and level < 1.0:
-        # In the hard case, c has no component along the shortest axis, so that the normal may lean to either side of
-        # this axis.
+        # In the hard case, c has no component along the shortest axis, so the normal may lean to either side of this
+        # axis.
         lean = np.sqrt((1.0 - level) / least) if least > 0.0 else 1.0
         if g0 == 0.0:
             w0 = lean
@@ -459,7 +463,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The bound is tightest near the known minimum, so that intervals farther away are larger.
+    # Branch and bound over r. The bound is tightest near the known minimum, so intervals farther away are larger.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
@@ -510,7 +514,7 @@ def global_minimum(FA, FB, c, n, size):
 
 @inline
 def _rounding(one, two, P, Q, h):
-    """Bound on the effect of rounding in the entries of p P + q Q on a depth around h, for r between `one` and `two`.
+    """Bound on the error of a depth around h due to rounding in the entries of p P + q Q, for r from `one` to `two`.
 
     The entries are off by at most 7u of `most` (3u from P and Q, 2u from p and q, product and sum). Half of this error,
     divided by h, bounds the error of √(nᵀKn), which is at least h. No verdict depends on this bound.
@@ -531,7 +535,7 @@ def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
 
 @njit(forceinline=False)
 def least_height(wide_a, FA, wide_b, FB, c, n, size):
-    """Apply `global_minimum` to ellipsoids, or to the cores of balls: points, not `wide`, with zero factors."""
+    """Apply `global_minimum` to ellipsoids, or to cores of balls, which are points: not `wide`, with zero factors."""
     if wide_a and wide_b:
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
@@ -570,8 +574,8 @@ def round_distance(A, B, n, size, result):
     Returns
     -------
     distance, gap : float
-        `gap` is the remaining gap of the proof of the global minimum, or the distance by which the witnesses disagree
-        across the normal if this distance is larger.
+        `gap` is the larger of two lengths: the remaining gap in the proof of the global minimum, and the distance by
+        which the witnesses disagree across the normal.
     """
     FA, a = _image(A)
     FB, b = _image(B)

@@ -1,4 +1,4 @@
-"""Choose few balls or capsules that hold many points: greedily, and then by exchanges with weights of the points.
+"""Choose a few balls or capsules that hold many points: greedily, then by exchanges guided by weights of points.
 
 A matrix of bits, in words of 64, records which candidate holds which point. The matrix is stored twice: by point, where
 bit c of word w is for candidate 64 w + c, and by candidate, where bit c of word w is for point 64 w + c. A step can
@@ -92,7 +92,7 @@ def _transpose(tile):
 
 @njit()
 def choose_few(count, steps, start, by_point, by_candidate, chosen):
-    """Choose few candidates that hold all points.
+    """Choose a small number of candidates that together hold all points.
 
     Points that are missed repeatedly get weight, which leads the search out of local minima (Gao, Weise and Li: An
     efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
@@ -127,7 +127,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
 
 @njit()
 def _greedy(start, by_candidate, missed, chosen):
-    """Take the candidate that holds most missed points, until none holds any; return how many candidates were taken."""
+    """Repeatedly take the candidate with the most missed points, until none has any; return how many were taken."""
     m, words = by_candidate.shape
     gains, chosen_count = np.zeros(m, np.int64), 0
     for k in start:
@@ -172,10 +172,10 @@ def _drop_held(by_candidate, k, missed):
 
 @njit()
 def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
-    """Replace candidates, so that fewer hold all points; return the number of candidates.
+    """Reduce the number of candidates that hold all points, by exchanges; return the number.
 
     Each step drops a candidate and adds another one that holds a missed point. If no point is missed, candidates are
-    dropped first, until points are missed.
+    dropped first, until a point is missed.
     """
     m = len(by_candidate)
     # For each point: the number of chosen candidates that hold it, and the sum of their indices (for a single
@@ -272,7 +272,7 @@ def _bits_of(words, places):
 
 @njit()
 def _best_for(point, step, by_point, missed, left, weight, last, gain):
-    """Among candidates that hold a point and were not dropped in this step, find the one with most missed weight."""
+    """Among the candidates that hold a point and were not just dropped, find the one with the most missed weight."""
     words, every = by_point.shape[1], (left + SEEN - 1) // SEEN
     for j in range(0, left, every):
         p = missed[j]

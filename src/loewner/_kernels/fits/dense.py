@@ -1,7 +1,7 @@
 """Small dense linear algebra: Cholesky, triangular solves, Householder QR, squares of vectors.
 
-Calling LAPACK takes longer than solving problems of these sizes, so that the loops are written here. Every function
-takes the dimension `n`, so that a caller with a compile-time `n` gets unrolled loops.
+For problems of these sizes, calling LAPACK takes longer than solving them. The loops are therefore written here. Every
+function takes the dimension `n`, so a caller with a compile-time `n` gets unrolled loops.
 """
 
 from typing import Any, NamedTuple
@@ -79,8 +79,7 @@ def cholesky(a, n):
 def normal_cholesky(a, n):
     """Overwrite the upper triangle of `a` with R such that a = Rᵀ R; False if `a` is not positive definite.
 
-    This function is for the larger normal matrices: its inner loop runs along rows without a sum, so that it
-    vectorises.
+    This function is for the larger normal matrices: its inner loop runs along rows without a sum, so it vectorises.
     """
     for j in range(n):
         if not a[j, j] > 0.0:

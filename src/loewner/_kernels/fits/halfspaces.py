@@ -36,9 +36,9 @@ def whiten(A, slack, work, frame):
 
 @njit()
 def center_in(A, b, x, frame, shift, negligible):
-    """Move `x` to near the analytic center of {A x <= b} by Newton's method, with whitening in every step.
+    """Move `x` close to the analytic center of {A x <= b} by Newton's method, with whitening in every step.
 
-    A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded (Nesterov and
+    A Newton decrement below 1 proves that the log barrier has a minimum, so the polytope is bounded (Nesterov and
     Nemirovskii 1994). A step along which no slack shrinks proves that the polytope is unbounded; its direction is
     written to `shift`, which is zero if the rows lack rank.
 
@@ -60,7 +60,7 @@ def center_in(A, b, x, frame, shift, negligible):
         if not whiten(A, slack, work, frame):
             shift[:] = 0.0
             return UNBOUNDED
-        # In this frame, the Hessian is the identity, so that the Newton step is minus the sum of the rows.
+        # In this frame, the Hessian is the identity, so the Newton step is minus the sum of the rows.
         for j in range(n):
             z[j] = 0.0
         for i in range(m):
@@ -161,7 +161,7 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
         gap = inscribe(A, slack_low, slack, factor, lam)
         if gap <= tol:
             return 0, gap, iterations
-        # A poor start can cost digits, so that the problem is solved again in the coordinates of the result.
+        # A poor start can cost digits, so the problem is solved again in the coordinates of the result.
         for j in range(n):
             x[j] = center[j]
             for k in range(n):

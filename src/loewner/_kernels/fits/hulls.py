@@ -31,9 +31,9 @@ def to_unit_size(points, flatness):
 def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
     """Turn Qhull's facets, which were found in unit-size coordinates, into the faces of a polytope.
 
-    Qhull gives every simplex of one flat face the same equation, so that neighbours with equal equations are merged.
-    The simplices are oriented outward together (n = 3): the largest simplex by its own normal, and the remaining ones
-    across shared edges, so that slivers cannot point the wrong way.
+    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations are merged. The
+    simplices are oriented outward together (n = 3): the largest simplex by its own normal, and the others across shared
+    edges. In this way, slivers cannot point the wrong way.
 
     Returns (code, worst, used, face_of, normals, offsets), where used (m,) marks the points that are vertices;
     `simplices` is oriented in place.
@@ -102,8 +102,8 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
 def face_limits(points, frame, coordinates, used, normals, reference, offsets, bottoms):
     """For each face, write the largest n·v to `offsets`, and the least n·(v - reference) of its vertices to `bottoms`.
 
-    For a face's own vertices, the tolerance is half of FACE_WIDTH plus a quarter of FACE_ROUNDING, because users of the
-    faces measure from the center, which halves the noise.
+    For a face's own vertices, the tolerance is half of FACE_WIDTH plus a quarter of FACE_ROUNDING. It is smaller
+    because users of the faces measure from the center, which halves the noise.
     """
     n = points.shape[1]
     count = 0

@@ -1,7 +1,7 @@
-"""Algorithms for hulls of many vertices whose time does not grow with vertices times faces.
+"""Algorithms for hulls with many vertices; their time does not grow with vertices times faces.
 
-The farthest vertices along the normal are needed for every face. A map of directions (`pieces.directions`) leaves a few
-dozen candidates. The map is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) =
+For every face, the farthest vertices along its normal are needed. A map of directions (`pieces.directions`) leaves a
+few dozen candidates. The map is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) =
 e·(y_v - y_w) with e = Fᵀ n.
 
 The vertices that the map omits must not matter to any face. The slack of the map therefore covers the difference of the
@@ -9,7 +9,7 @@ computed heights n·(v - c) and e·y, and the window of heights that count as ly
 roundoff, R the largest |y|, and B = ‖|F⁻¹||F|‖ >= √3:
 
 - |n|ᵀ|v - c| = |F⁻ᵀ e|ᵀ|F (y_v - y_c)| <= 2 B R |e|, so two computed heights err by 2 · 5 u · 2 B R |e| together;
-- e is computed with an error of 3 u |F|ᵀ|n|, a y with one of 4 u |F⁻¹||F||y|: 14 u B R |e| for two vertices;
+- the error of the computed e is 3 u |F|ᵀ|n|, and the error of a y is 4 u |F⁻¹||F||y|: 14 u B R |e| for two vertices;
 - the window is `FACE_WIDTH` of a width of at most 2 R |e|, and `FACE_ROUNDING` roundings of at most 2 √3 B R |e|;
 - |e| is at most √3 times the largest entry of e, to which the slack refers; the map's own clearance is 34 u R.
 
@@ -35,7 +35,7 @@ MANY = 256
 # from each sector.
 SIDE = 4
 SECTORS = 6 * SIDE * SIDE
-# Largest number of rounds; six are usual. After the last round, all faces are used.
+# Largest number of rounds; six are typical. After the last round, all faces are used.
 MAX_ROUNDS = 40
 
 
@@ -197,7 +197,7 @@ def _nearest(A, best, best_at):
 
 @njit()
 def _sticking_in(A, x, low, limit, best, best_at):
-    """Find each sector's worst face that the ellipsoid (x, low) exceeds by more than `limit`; return their number."""
+    """In each sector, find the face that the ellipsoid exceeds most, if by more than `limit`; return their number."""
     for s in range(SECTORS):
         best[s] = limit
         best_at[s] = -1

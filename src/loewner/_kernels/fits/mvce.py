@@ -5,11 +5,11 @@ With w_i = q_iᵀ M⁻¹ q_i, its optimality conditions are w + s = N and u s = 
 diag(s/u) plus V Vᵀ, where V_i = svec(W_i W_iᵀ), W_i = L⁻¹ q_i and M = L Lᵀ. Each step is Mehrotra's (1992): a predictor
 without any centring, then a corrector with the centring that the predictor allows.
 
-The method differs from the plain one in these points:
+The method differs from Mehrotra's in these points:
 
 1. The rank of V Vᵀ is N(N+1)/2 for any number of points. Woodbury's identity reduces the m x m system to this size, so
    that a step takes O(m) operations; predictor and corrector share the factorisation.
-2. Σ u = 1 is no constraint of the steps. The sum follows from the optimality conditions, and the weights are divided by
+2. The steps do not enforce Σ u = 1. The sum follows from the optimality conditions, and the weights are divided by
    the sum at the end.
 3. The iteration stops at the gap below, which needs no small residuals.
 4. The extreme points of Kumar and Yıldırım (2005) give the coordinates in which the problem is solved.
@@ -51,8 +51,8 @@ STEP_CAP = 0.9999
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# Up to DIRECT_LIMIT points are all given to the solver at once. An active set is faster for more points (from about
-# 60).
+# The solver receives all points at once if there are at most DIRECT_LIMIT. From about 60 points on, an active set is
+# faster.
 DIRECT_LIMIT = 64
 # A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
 LIGHT = 1e-6
@@ -133,7 +133,7 @@ def solve_dual(X, m, n, tol, u, center, low):
 
 @njit()
 def _iterate(place, X, n, tol, u, center, low):
-    """Do the work of `solve_dual`, in memory at a place."""
+    """Do the work of `solve_dual`, in memory that the caller provides."""
     m, work = place.counts.m, _memory_of(place)
     for i in range(m):
         u[i] = 1.0 / m
@@ -279,9 +279,10 @@ def _direction(place, u):
 def spread_points(points, flatness, chosen, origin, frame):
     """Choose 2n points far apart and a frame from them: Kumar and Yıldırım (2005), section 4.1.
 
-    For one direction after another, each orthogonal to the differences found so far, the two extreme points are chosen.
-    `origin` becomes their mean, and `frame` a lower triangular matrix whose parallelepiped is about as large as the
-    hull in every direction, whatever its aspect ratio: in these coordinates, the points are of unit size.
+    The two extreme points are chosen along one direction after another, each orthogonal to the differences found so
+    far. `origin` becomes the mean of the chosen points. `frame` becomes a lower triangular matrix whose parallelepiped
+    is about as large as the hull in every direction, even if the hull is thin. In these coordinates, the points have
+    unit size.
 
     Returns (code, axis, width, size). The code is FLAT if the width along direction `axis` is at most `flatness` times
     the first width, or below the rounding of the coordinates.
@@ -383,8 +384,8 @@ def to_frame(point, origin, frame, out, n):
 def farthest_by_sector(points, center, factor, threshold, best, best_at):
     """In one pass over all points, find the largest |factor⁻¹ (x - center)|² and the farthest point of each sector.
 
-    A sector is the signed coordinate axis nearest to the point, so that the 2n candidates lie in different directions.
-    Only points above `threshold` are candidates.
+    A sector is the signed coordinate axis nearest to the point, so the 2n candidates lie in different directions. Only
+    points above `threshold` are candidates.
     """
     m, n = points.shape
     y = np.empty(n)
@@ -532,7 +533,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for the points that matter, so that inaccurate solutions suffice.
+    # The first rounds only look for the points that matter, so inaccurate solutions suffice.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):

@@ -10,7 +10,7 @@ The method differs from theirs in these points:
 2. Predictor and corrector (Mehrotra 1992) share this factorisation, and multipliers have a separate step length. The
    plain rule with one step length is used only where these steps fail (`solve_primal_dual`).
 3. The first ellipsoid is scaled until it is inside the polytope.
-4. The iteration stops at the certified gap of the ellipsoid, shrunk until it is inside. This gap needs no small
+4. The iteration stops when the ellipsoid, shrunk until it is inside, has a small certified gap. This gap needs no small
    residuals.
 
 Certificate. In coordinates in which the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center,
@@ -150,8 +150,8 @@ _memory_of, _size = _MEMORY.whole(), _MEMORY.sizing()
 def solve_primal_dual(A, m, n, tol, x, low, lam):
     """Largest ellipsoid in {z : A z <= 1} (rows near unit size); fills center, lower factor and multipliers.
 
-    Long steps are tried first. For about one piece in 300,000, they circle; this piece gets the plain method of Zhang
-    and Gao, with one step length and no corrector, which takes a few steps more.
+    Long steps are tried first. For about one piece in 300,000, they go around in circles. Such a piece is solved by the
+    plain method of Zhang and Gao, with one step length and no corrector, which takes a few more steps.
 
     Returns (gap, iterations); a gap above `tol` means that the iteration stopped early.
     """

@@ -72,7 +72,7 @@ def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
 def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor):
     """Largest ellipsoid inside the piece, computed in the coordinates of its outer ellipsoid.
 
-    In these coordinates, the piece lies between the balls of radius 1/n and 1 (John), so that it is never thin. Returns
+    In these coordinates, the piece lies between the balls of radius 1/n and 1 (John), so it is never thin. Returns
     (code, gap, iterations).
     """
     m, n = normals.shape
@@ -127,7 +127,7 @@ def fit_range(
     """Write both fits of the pieces first..last-1 to their rows of the output arrays.
 
     Threads call this function on separate ranges, because it does not hold the interpreter lock. Such functions compile
-    in a quarter of the time of `prange`, and run as fast.
+    in a quarter of the time that `prange` takes, and run as fast.
 
     `info` (P, 5) receives the outer code and gap, the inner code and gap, and the iterations of both.
     """

@@ -10,13 +10,13 @@ near
     The bounding spheres of the outer ellipsoids are apart.
 outer
     A direction separates the outer ellipsoids. The maximizer of the contact function is guessed from the widths along
-    r: s = h_a / (h_a + h_b), which is exact for spheres. The direction K(s)⁻¹ r then separates 999 in 1,000 of the
-    round pieces that can be separated.
+    r: s = h_a / (h_a + h_b), which is exact for spheres. The direction K(s)⁻¹ r then separates 999 in 1,000 separable
+    pairs of round pieces.
 inner
     The inner ellipsoids have a common point, which the same kind of guess yields.
 
 Each stage also determines whether a better s could still change the answer; only in this case is s improved. With a
-margin, the near points matter, and they need the best s, so that `certify_best` always iterates.
+margin, the near points matter, and they need the best s, so `certify_best` always iterates.
 
 The checks compare squares, not square roots (docs/certified.md), because divisions and roots would take half of the
 time.
@@ -66,8 +66,9 @@ BLOCK = 128  # A block holds up to BLOCK piece pairs, which are settled together
 
 NEWTON_STEPS = 12
 
-# Errors that a shape matrix Q causes in squared widths nᵀQn and in products Qn, in units of the roundoff times trace(Q)
-# |n|² and trace(Q) |n|, respectively. The constant covers both precisions; single precision has the larger errors.
+# Errors that a shape matrix Q causes: in a squared width nᵀQn, in units of the roundoff times trace(Q) |n|²; in a
+# product Qn, in units of the roundoff times trace(Q) |n|. The constant covers both precisions; single precision has the
+# larger errors.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
 # The search for s is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band
@@ -96,8 +97,8 @@ class Bounds(NamedTuple):
 class Shape(NamedTuple):
     """Ellipsoids in world axes, from eight columns of their rows: the shape matrix and two bounds on semi-axes.
 
-    `sigma` is a lower bound on the least semi-axis of an outer ellipsoid; `inverse_sigma` is an upper bound on the
-    reciprocal of an inner ellipsoid's least semi-axis. For the other kind of ellipsoid, neither is used.
+    For outer ellipsoids, `sigma` is a lower bound on the least semi-axis, and `inverse_sigma` is unused. For inner
+    ellipsoids, `inverse_sigma` is an upper bound on the reciprocal of the least semi-axis, and `sigma` is unused.
     """
 
     Q: Any
@@ -188,7 +189,7 @@ def guess(P, Q, r, tiny):
 
 @njit()
 def _best(P, Q, r):
-    """Return s and n = K(s)⁻¹ r at the maximum of F; s is 0.5 for a point, where every s gives the same points."""
+    """Return s and n = K(s)⁻¹ r at the maximum of F; s is 0.5 for a point, since any s gives the same points."""
     d, q, s = polynomials(P, Q, r)
     for _ in range(NEWTON_STEPS):
         s = newton_step(d, q, s)
@@ -202,9 +203,9 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
     """Bound on the rounding error of F = s(1-s) rᵀK⁻¹r for F near 1, times the least eigenvalue of K.
 
     √F is a norm of r. Let ε be the error of r, from the positions and from the difference of K n and r, and λ the least
-    eigenvalue of K. Then √F changes by at most η = √(s(1-s)) ε / √λ. Therefore F, computed from n·r, is on the apparent
-    side of 1 if its distance from 1 exceeds 3η + 2η², which is at most c + 4η²/c for any small c. An error of K changes
-    F by at most the error divided by λ.
+    eigenvalue of K. Then √F changes by at most η = √(s(1-s)) ε / √λ. If the computed F differs from 1 by more than 3η +
+    2η², the exact F is on the same side of 1. This sum is at most c + 4η²/c for any small c. Here, F is computed from
+    n·r. An error of K changes F by at most the error divided by λ.
 
     Parameters
     ----------
@@ -236,8 +237,8 @@ def _miss(r, s, Pn, Qn):
 def _apart(a, b, r, n, s, size, unit, sure):
     """Masks of pairs that n certainly separates, and of pairs that certainly no s separates, because F < 1 everywhere.
 
-    F is concave, so that its value and its slope at s, (1-s)² nᵀPn - s² nᵀQn, bound F everywhere. Rounding changes the
-    slope by at most the change of F divided by s(1-s).
+    F is concave, so its value and its slope at s, (1-s)² nᵀPn - s² nᵀQn, bound F everywhere. Rounding changes the slope
+    by at most the change of F divided by s(1-s).
     """
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
@@ -262,7 +263,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
 
 @inline
 def _common(a, b, r, n, s, size, unit, sure):
-    """Masks of pairs that certainly have the common point (1-s) P n from a's center, and of pairs with none (F > 1)."""
+    """Masks of pairs that certainly share the point (1-s) P n from a's center, and of pairs that share none (F > 1)."""
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
@@ -542,7 +543,7 @@ def _reversed(v):
 def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, tier, V):
     """Certify the listed piece pairs at the best s, in double precision, with any margin.
 
-    The parameters and the result are documented in `certify`, but every remaining pair is OPEN.
+    `certify` documents the parameters and the result; here, however, every remaining pair is OPEN.
     """
     for at in range(0, count, LANES):
         a = pose_of(Ta, listed.pose_a, at, moved_a)

@@ -1,9 +1,9 @@
 """Penetration depth of two polytopes in about a microsecond, by a small expanding polytope in flat arrays.
 
 The method is the same as in `epa_robust`, for overlapping polytopes without radii. The corners of both polytopes are
-moved to the world once. The faces are rows of 64, so that one comparison of eight vectors finds the nearest face, or
-all faces visible from a new point. Half-edges connect the faces. Unusual cases (too many faces, a rim that does not
-close, pieces that do not overlap) return UNSETTLED, and the careful search decides them.
+moved to the world once. The faces are rows of 64, so one comparison of eight vectors finds the nearest face, or all
+faces visible from a new point. Half-edges connect the faces. Unusual cases (too many faces, a rim that does not close,
+pieces that do not overlap) return UNSETTLED, and the careful search decides them.
 
 References
 ----------
@@ -68,8 +68,8 @@ FOOT_SLACK = 1e-9
 # Indices of the points of the first shell, and also of its faces.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# Twins of the half-edges of the first shell. Each face has three entries and one unused entry; the faces are (1 2 3),
-# (0 3 2), (0 1 3) and (0 2 1).
+# Twins of the half-edges of the first shell. Each face has three entries in use and one unused entry; the faces are (1
+# 2 3), (0 3 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -228,7 +228,7 @@ def _points_across(W, K, vectors_a, vectors_b, n):
 
 @inline
 def _farther_point(W, K, p, vectors_a, vectors_b, n):
-    """Write as point p the point along a direction or along its opposite, whichever is farther from point 0."""
+    """Write point p: the farthest point along a direction or its opposite, the one that is farther from point 0."""
     height = dot(n, _point(W, _P0))
     against = _add_point(W, K, p + 1, vectors_a, vectors_b, negated(n))
     along = _add_point(W, K, p, vectors_a, vectors_b, n)

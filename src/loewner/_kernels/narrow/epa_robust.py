@@ -1,8 +1,8 @@
 """Penetration depth of two placed pieces by an expanding polytope inside A - B.
 
 The depth is the smallest support value h(n) of the Minkowski difference A - B over all unit vectors n. A polytope of
-support points grows inside A - B; its face with the smallest offset is pushed out to the support plane until their
-offsets agree. Offsets may be negative, so that the polytope need not contain the origin at the start.
+support points grows inside A - B; its face with the smallest offset is pushed out to the support plane until the
+offsets of face and plane agree. Offsets may be negative, so the polytope need not contain the origin at the start.
 
 References
 ----------
@@ -60,7 +60,7 @@ class Workspace(NamedTuple):
 
 @njit()
 def _support(A, B, shift, n, S, k):
-    """Call `minkowski_support` instead of inlining it, because it has many call sites, all of them rarely executed."""
+    """Call `minkowski_support` instead of inlining it, because it has many call sites, each rarely executed."""
     minkowski_support(A, B, shift, n, S, k)
 
 
@@ -181,7 +181,7 @@ def _farther(A, B, shift, n, S, k):
 
 @njit()
 def _visible(S, normals, offsets, f, w, error):
-    """Return whether the new point w lies in front of face f; a face without area counts as well."""
+    """Return whether the new point w lies in front of face f; a face without area counts as visible."""
     if offsets[f] == np.inf:
         return True
     return normals[f, 0] * S[w, 0] + normals[f, 1] * S[w, 1] + normals[f, 2] * S[w, 2] > offsets[f] + error
@@ -436,8 +436,8 @@ def plane_with_care(one, two, three, error):
     Returns
     -------
     behind : bool
-        Whether the origin is behind the face beyond rounding, so that the face winds around the origin in the right
-        direction.
+        Whether the origin is behind the face by more than rounding. If so, the face winds around the origin in the
+        right direction.
     nearest : float
         Least product of the normal with a corner: up to `error`, no point of the face is nearer to the origin.
     n : tuple of 3 float

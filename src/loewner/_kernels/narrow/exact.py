@@ -30,7 +30,7 @@ SIZE = max(MEMORY.size(), SURFACE_SIZE)  # `exact_piece_pair` writes to SIZE byt
 def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, steps, memory):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
-    The function takes handles, because placed pieces would be many arguments of a call that is not inlined.
+    The function takes handles, because placed pieces would add many arguments to a call that is not inlined.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def exact_piece_pair(pack_a, i, poses_a, ka, pack_b, j, poses_b, kb, margin, n, 
 
 @njit()
 def _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory):
-    """Settle a pair with radii or a margin, or a pair that `decide` left open; a separate function keeps code short."""
+    """Settle a pair with radii or a margin, or a pair that `decide` left open; separate to keep code short."""
     result = result_of(memory)
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:

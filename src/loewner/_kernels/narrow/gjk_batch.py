@@ -1,14 +1,14 @@
 """GJK for many open pairs of small polytopes: sixteen pairs side by side in registers, without branches.
 
 The plane perpendicular to the contact normal of the outer ellipsoids is tried first; it separates four in ten open
-pairs. For the other pairs, the signs of a few products decide how the simplex moves, without a closest point. Every
-round searches the vertices of both pieces once and computes all cases of the simplex together, and each pair selects
-its own case. Two or three more rounds settle most pairs.
+pairs. For the other pairs, the signs of a few products decide how the simplex moves; no closest point is computed.
+Every round searches the vertices of both pieces once and computes all cases of the simplex together, and each pair
+selects its own case. Two or three more rounds settle most pairs.
 
 The walk is in single precision. The results are nonetheless proven: a support plane is clear of the origin, or a
 tetrahedron of points of A - B contains the origin, by more than the rounding of single precision (docs/certified.md).
-Pairs nearer to contact, two in a thousand, are not proven here but left to `gjk_fast`. The result of a pair therefore
-depends neither on its path nor on the pairs beside it.
+Pairs closer to contact (two in a thousand) are not settled here, but left to `gjk_fast`. A pair's result therefore
+depends neither on the path of the walk nor on the other pairs in the registers.
 
 References
 ----------

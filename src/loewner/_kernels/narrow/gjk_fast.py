@@ -99,9 +99,9 @@ def _edge(a, b):
 def decide(A, B, shift, W, ends, n, error):
     """Decide most pairs of plain cores (no radii, no margin) in a few rounds, all in registers.
 
-    The signs of a few products decide how the simplex moves, without a closest point. Results are proven in the same
-    way as in `gjk_robust.run`: by a support plane clear of the origin, or by a tetrahedron that contains the origin
-    beyond rounding. All other pairs are UNSETTLED and go to `measure`.
+    The signs of a few products decide how the simplex moves; no closest point is computed. Results are proven in the
+    same way as in `gjk_robust.run`: by a support plane clear of the origin, or by a tetrahedron that contains the
+    origin beyond rounding. All other pairs are UNSETTLED and go to `measure`.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # If the search makes no progress, or contact is too near for these products, `gjk_robust.run` must search
+            # If the search makes no progress, or contact is too close for these products, `gjk_robust.run` must search
             # the pair.
             if not (4.0 * error < length < before):
                 break

@@ -3,7 +3,7 @@
 `gjk_fast` answers nearly all pairs faster and leaves the remaining pairs to this module.
 
 The search works in world axes, with the origin at the translation of the first body. Only the difference of the
-translations is used, so that a pair far from the world's origin loses no accuracy.
+translations is used, so a pair far from the world's origin loses no accuracy.
 
 References
 ----------
@@ -98,7 +98,7 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
     -------
     status : int
         APART: proven farther apart than `limit`. TOUCHING: the upper bound is within `limit`, or within rounding error
-        of it. UNSETTLED: the accuracy of the arithmetic suffices for neither.
+        of it. UNSETTLED: the arithmetic is not accurate enough to prove either.
     lower, upper : float
         Bounds on the distance of the cores, minus the rounding radii. Both bounds may be negative for cores that are
         apart by less than the radii; `upper` is -inf if the cores intersect.

@@ -38,7 +38,7 @@ def separated(A, first, last, n, least, keep, stretch, memory):
         Distances, with 0 <= least <= keep. The search ends once the distance is certainly more than `keep`, or not more
         than `least`. For distances in between, it continues to the plane with the largest gap.
     stretch : float
-        Amount by which poses between the two poses may stretch radii more than these two do.
+        Amount by which intermediate poses may stretch radii more than the two poses do.
     memory : int
         Address of `gjk_fast.MEMORY`.
 

@@ -7,8 +7,8 @@ until a proof succeeds.
 
 The proof has two parts. First, no triangle meets the ellipsoid: in the ellipsoid's metric, every triangle is farther
 from the center than 1. Second, the center is inside, because the surface winds around it. A point is inside if its
-winding number, of either sign, is not zero. Points without a triangle between them have the same winding number, so
-that the whole ellipsoid is inside.
+winding number, of either sign, is not zero. Two points with no triangle between them have the same winding number.
+Therefore, the whole ellipsoid is inside.
 """
 
 from typing import Any, NamedTuple
@@ -59,7 +59,7 @@ GROWTH = 1.02
 REACH = 6.0
 
 # A round uses at most MOST_PLANES planes. A plane represents all triangles beyond it, and also triangles in front of it
-# by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so that the limit suffices.
+# by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so the limit suffices.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
@@ -103,8 +103,8 @@ class Mesh(NamedTuple):
     planes : ndarray
         Planes {x : n x = offset}, each given by four numbers: n and the offset.
     edges : ndarray
-        For each plane, the value of n (x - c) from which points x count as beyond it, where c is the center of the
-        current search.
+        For each plane, the least value of n (x - c) at which a point x counts as beyond the plane; c is the center of
+        the current search.
     """
 
     tree: Any
@@ -237,7 +237,7 @@ def least_in(mesh, child, center, G, first, last):
 
 @njit()
 def nearest(mesh, center, G, limit, share):
-    """Lower bound on the distance of the nearest triangle from a center in G's metric, at most `limit`; a near point.
+    """Lower bound, at most `limit`, on the nearest triangle's distance from a center in G's metric; a near point.
 
     The square of the bound may be less than the squared distance by the factor `share`.
     """
@@ -279,7 +279,7 @@ def pushed(heap, count, key, code):
 
 @njit()
 def popped(heap, count):
-    """Remove the first entry, so that `count` entries remain, and return it."""
+    """Remove and return the first entry; `count` entries remain."""
     keys, codes = heap
     first, at, below = (keys[0], codes[0]), 0, 1
     while below < count:
@@ -552,7 +552,7 @@ def spread(centers, factors, total, count, chosen):
 
 @njit()
 def prove(mesh, origin, scale, center, factor):
-    """Shrink an ellipsoid, in the mesh's own coordinates, until it is proven inside; return False without a proof.
+    """Shrink an ellipsoid, in the mesh's own coordinates, until it is proven inside; return False if no proof succeeds.
 
     Let F be the stored factor in the tree's coordinates, and G its computed inverse. For a point z of the unit ball,
     the map y = G (x - c) takes the point c + F z of the ellipsoid to G F z. The image G F z is at most 1 + e from the
@@ -610,8 +610,8 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
     Parameters
     ----------
     table : int
-        Address of the table of a tree over the mesh's triangles; its coordinates are the mesh's less `origin`, times
-        `scale`.
+        Address of the table of a tree over the mesh's triangles; a coordinate of the tree is the mesh's coordinate less
+        `origin`, times `scale`.
     size, far : float
         Half the longest edge of the box around the tree, and a bound on the tree's coordinates.
     origin : ndarray, shape (3,)

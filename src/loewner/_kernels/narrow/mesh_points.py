@@ -1,7 +1,7 @@
 """Distances of many points from a mesh, winding numbers around the points, and orientations of nearby triangles.
 
-The tree is in the frame of the points. Boxes are tested in single precision, with a slack for its rounding, and
-triangles eight at a time. Up to rounding, a returned distance is the distance of the nearest point of the triangle,
+The tree is in the frame of the points. Boxes are tested in single precision, with slack for rounding. Triangles are
+tested eight at a time. Up to rounding, a returned distance is the distance of the nearest point of the triangle,
 however thin the triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
 """
 

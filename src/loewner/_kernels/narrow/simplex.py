@@ -6,8 +6,8 @@ points of A and of B. Each solver keeps the rows that support the closest point,
 inside.
 
 The signs of dot products determine the region (Ericson, Real-Time Collision Detection, 2005, section 5.1). Every answer
-is a point of the simplex, even if rounding changes signs, so that |v| is always an upper bound on the distance. GJK
-proves the lower bound separately.
+is a point of the simplex, even if rounding changes signs, so |v| is always an upper bound on the distance. GJK proves
+the lower bound separately.
 """
 
 import numpy as np
@@ -117,7 +117,7 @@ def _compact(S, k, weights, v):
 
 @njit()
 def _beyond(S, i, j, k, opposite, doubt):
-    """Return whether the origin is not certainly on the inner side of face ijk.
+    """Return whether the origin may be on the outer side of face ijk.
 
     `doubt` bounds the rounding error of the two volumes compared. A superfluous face costs only a little time, but a
     missing face may cost the right answer: in a flat tetrahedron, all four faces must be tried.
@@ -239,10 +239,10 @@ def _without(d, ex, ey, ez):
 def direction(S, k, v, d):
     """Compute the unit normal d of the simplex's feature, on the side away from the origin.
 
-    The closest point v is a weighted sum of points whose rounding is relative to their size, so that close to contact
-    its direction is noise. The feature itself still has a normal to full precision, perpendicular to the edge or the
-    triangle. Returns the offset d·x of the feature, which is the distance of the origin; 0 if the feature has no
-    normal.
+    The closest point v is a weighted sum of points whose rounding errors are relative to their size. Close to contact,
+    the direction of v is therefore noise. The feature itself still has a normal to full precision, perpendicular to the
+    edge or the triangle. Returns the offset d·x of the feature, which is the distance of the origin; 0 if the feature
+    has no normal.
     """
     for j in range(3):
         d[j] = v[j] if k != 1 else S[0, j]

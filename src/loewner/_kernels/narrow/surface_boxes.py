@@ -1,7 +1,7 @@
 """Records for two surfaces at two poses, and tests of whether boxes of their trees come near each other.
 
-All tests are in the axes of the first body's frame, in single precision. All boxes of a tree are rotated alike, so that
-one rotation serves a whole query.
+All tests are in the axes of the first body's frame, in single precision. All boxes of a tree are rotated alike, so one
+rotation serves a whole query.
 
 References
 ----------
@@ -150,7 +150,7 @@ def between(relation, middle_a, middle_b):
 
 @inline
 def meeting(relation, t, g, h):
-    """Bits of the lanes whose boxes are not proven apart; `t` is between the middles, `g` and `h` are half widths."""
+    """Bits of the lanes whose boxes are not proven apart; `t` connects the middles, `g` and `h` are half widths."""
     m, z, e = relation.turn, relation.size, relation.slack
     mask = (
         (absolute(t[0]) <= (g[0] + e) + (z[0] * h[0] + z[1] * h[1] + z[2] * h[2]))
@@ -179,7 +179,7 @@ def meeting(relation, t, g, h):
 
 @inline
 def meeting_between(first, last, middle_a, middle_b, g, h):
-    """Bits of the lanes whose boxes a's axes do not prove to be apart on the straight path of b between two places.
+    """Bits of the lanes in which a's axes do not prove the boxes apart on the straight path of b between two places.
 
     Parameters
     ----------

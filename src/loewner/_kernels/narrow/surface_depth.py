@@ -2,7 +2,7 @@
 
 The bound is the depth of the deepest pair of convex parts, because two bodies are apart only if all pairs of their
 parts are apart. For solids, a ball or a point of one body that lies within the other body may prove more, because it
-has to come out.
+has to leave the other body.
 """
 
 import numpy as np
@@ -148,7 +148,8 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = epa_robust.penetration(S, B, shift, epa_robust.DEPTH_ACCURACY, work, own)
-                # A triangle and a point or segment in its plane have a flat difference, which proves nothing.
+                # The Minkowski difference of a triangle and a point or segment in its plane is flat, and proves
+                # nothing.
                 deep = epa_robust.proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = epa_fast.overlap_depth(S, B, n, faces, edges, own)

@@ -1,8 +1,8 @@
 """Signed distance of a surface and another piece.
 
-Boxes are taken in the order of lower bounds in single precision, nearest first, and their triangles eight at a time.
-Finally, GJK measures the nearest two triangles, as separate pieces, for the normal and the witnesses. Pieces that meet
-have a depth, see `surface_depth`.
+Boxes are taken in the order of their lower bounds in single precision, nearest first. Their triangles are measured
+eight at a time. Finally, GJK measures the nearest two triangles, as separate pieces, for the normal and the witnesses.
+Pieces that meet have a depth, see `surface_depth`.
 """
 
 from typing import Any, NamedTuple
@@ -52,8 +52,8 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     Returns
     -------
     distance : float
-        The distance; inf if it is above the limit. If it is negative, the depth is at least its absolute value, up to
-        rounding (certified.md B49): the depth of a pair of convex parts.
+        The distance; inf if it is above the limit. If it is negative, its absolute value is the depth of a pair of
+        convex parts. The depth of the pieces is at least this value, up to rounding (certified.md B49).
     gap : float
         Difference between the bounds on the distance.
     """
@@ -297,7 +297,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             searches += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             if status != APART:
-                if status != NEAREST:  # The pieces are so near contact that more care is needed.
+                if status != NEAREST:  # The pieces are so close to contact that more care is needed.
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:

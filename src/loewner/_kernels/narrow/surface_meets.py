@@ -51,8 +51,9 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
     memory : int
         Address of `surface_walk.MEMORY`.
     listed_at, room : int
-        Address of integers, and the number of open pairs that they have room for: two integers each. For two surfaces,
-        they are the triangles, by block and lane; for a surface and a convex piece, the triangle and -1.
+        Address of an array of integers, and the number of open pairs for which it has room. Each open pair takes two
+        integers. For two surfaces, they are the triangles, by block and lane; for a surface and a convex piece, they
+        are the triangle and -1.
     steps : int
         Limit on the number of boxes, triangles and points to examine; beyond it, the verdict is AMBIGUOUS. The number
         of steps left can be read from the memory.
@@ -111,7 +112,7 @@ def _two_surfaces(A, B, shift, size, asked):
 
 @inline
 def _boxes_touch(a, b, reach):
-    """Mask of lanes in which the box of a triangle comes within `reach` of the box of one of eight along all axes."""
+    """Mask of lanes in which the box of a triangle comes within `reach` of one of eight boxes along all axes."""
     return _touch_along(a, b, reach, 0) & _touch_along(a, b, reach, 1) & _touch_along(a, b, reach, 2)
 
 
@@ -186,7 +187,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
             status, _, _ = walk.decided(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
             status, _, _, _ = walk.measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
-        # The search finds a contact up to rounding, so that the error must be less than the allowed distance.
+        # The search finds a contact up to rounding, so the error must be less than the allowed distance.
         if status in (TOUCHING, OVERLAPPING) and near > error:
             return MEETING
         if status != APART:

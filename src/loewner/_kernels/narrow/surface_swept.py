@@ -46,7 +46,7 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, me
     keep : float
         Distance to prove; at least 0.
     stretch : float
-        Amount by which poses between the two poses may stretch radii more than these two do.
+        Amount by which intermediate poses may stretch radii more than the two poses do.
     travel : float
         Upper bound on the distance between the first and the last place of any point.
     times : int
@@ -148,7 +148,7 @@ def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most
     At the end of the walk, or after too many steps, zeros replace the leaves.
 
     Compare `surface_walk.next_meeting`. An entry of the stack is a box or one triangle of a leaf: large triangles next
-    to small ones are taken one by one, because a leaf of large triangles fills much space.
+    to small ones are taken one by one, because a leaf of large triangles takes up much space.
     """
     while height > 0 and steps < most:
         height -= 1

@@ -1,7 +1,7 @@
 """The walk through trees of triangles, from leaf to leaf, and the parts that all queries about surfaces share.
 
 A walk keeps the boxes that it must still open on a stack. Each function below goes on to the next leaf and returns it
-with the height of the stack, so that a query is a loop over leaves: see `surface_meets`, `surface_distance`,
+with the height of the stack, so a query is a loop over leaves: see `surface_meets`, `surface_distance`,
 `surface_depth`, `surface_points` and `mesh_points`. All five modules use the same memory, which is declared here.
 """
 
@@ -325,7 +325,7 @@ def triangle_piece(P, triangle, rounding, memory):
 # -- searches of triangles, which end with a plane ------------------------------------------------
 
 
-# The two searches are long, so that their callers in this file should share one copy of each.
+# The two searches are long, so their callers in this file should share one copy of each.
 @apart
 def decided(A, B, shift, W, ends, n, error):
     """Call `gjk_fast.decide`."""

@@ -196,7 +196,7 @@ def from_face(x, face):
     """Mask of triangles that contain the foot of a point on their planes, and the vectors from the feet to the point.
 
     The foot on the longest edge comes first, followed by the step from there along the altitude. The remaining vector
-    is short, so that the error of the altitude's direction, which is large for a sliver, has little effect.
+    is short, so the error of the altitude's direction, which is large for a sliver, has little effect.
     """
     start, edge, share, altitude, over, over_altitude = face
     r = minus(x, start)
@@ -209,7 +209,7 @@ def from_face(x, face):
 
 @inline
 def _to_face(x, face, least):
-    """Squared distance of a point from a face if its foot lies inside and this is below `least`; otherwise `least`."""
+    """Squared distance of a point from a face, if its foot lies inside, but at most `least`; otherwise `least`."""
     inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 

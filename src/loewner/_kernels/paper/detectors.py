@@ -28,8 +28,8 @@ def _face_distance(faces, start, stop, origin, p, e):
 def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, ambiguous):
     """The earlier method (section 2 of the paper), as interpreted in docs/design/paper.md.
 
-    The inner ellipsoids are the method's own heuristic ones. `faces_1` and `faces_2` hold normals and offsets (f, 4);
-    `start_1` and `start_2`, the first face of each body (n + 1,).
+    The inner ellipsoids are the method's own heuristic ones. `faces_1` and `faces_2` (f, 4) hold normals and offsets;
+    `start_1` and `start_2` (n + 1,) hold the first face of each body.
     """
     c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):

@@ -6,13 +6,14 @@ vertices as blocks (see `pieces.support`). A search descends a few levels and re
 the hull has.
 
 A vertex v is omitted from a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
-that w beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
+w beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
 direction that rounding puts into the neighbouring cell. The farthest vertex found is therefore the same as in a search
 through all vertices.
 
-The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf, they are its
-first and last+1 column; for an inner node, they are the number of its first child and -1. Nodes 0 .. 5 are the cube's
-faces +x, -x, +y, -y, +z, -z. The four children of a node are adjacent, with the first coordinate changing fastest.
+The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf, these
+numbers are its first and last+1 column; for an inner node, they are the number of its first child and -1. Nodes 0 .. 5
+are the cube's faces +x, -x, +y, -y, +z, -z. The four children of a node are adjacent, with the first coordinate
+changing fastest.
 """
 
 import numpy as np
@@ -89,7 +90,7 @@ def _corner(face, level, s, t, d, row):
 
 @njit()
 def _filter(vertices, pool, start, stop, face, level, s, t, slack, d, heights, rivals):
-    """Append to the pool its entries start .. stop that may win in a cell; return the new end."""
+    """Append to the pool all entries among start .. stop that may win in a cell; return the new end."""
     for c in range(4):
         _corner(face, level, s + c % 2, t + c // 2, d, c)
     for c in range(3):

@@ -122,7 +122,7 @@ def _fill(made, chosen):
 
 @inline
 def _copy_parts(pack, source, made, piece, part):
-    """Copy the rows of a piece's parts; a piece without parts keeps zeros, because another end would mark a surface."""
+    """Copy the rows of a piece's parts; a piece without parts keeps zeros: a nonzero end marks a surface."""
     at, to = PARTS * source, PARTS * piece
     first, last = (pack.part_start[at], pack.part_start[at + 2]) if len(pack.part_start) > 0 else (0, 0)
     for n in range(PARTS):

@@ -136,7 +136,7 @@ def unit_support(kind, x, y, z):
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # A kind without a branch above gives NaN, so that nothing is proven.
+    return np.nan, np.nan, np.nan  # A kind without a branch above gives NaN, so nothing is proven.
 
 
 @inline

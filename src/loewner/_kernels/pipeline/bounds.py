@@ -83,7 +83,7 @@ class Queue(NamedTuple):
     contact : ndarray, shape (QUEUED,)
         Product of the maxima of the two contact functions, for the outer and for the inner ellipsoids.
     estimate : ndarray, shape (QUEUED,)
-        The distance estimated from both contact functions; it is negative exactly if `contact` is below 1.
+        The distance estimated from both contact functions; it is negative if and only if `contact` is below 1.
     """
 
     pairs: Any
@@ -222,8 +222,8 @@ def _loading(fetch, pose_of, alone):
     def load_pairs(count, operands, work):
         """Read the queued pairs.
 
-        A single pair has four lanes for its outer ellipsoids and four for its inner ellipsoids, so that one pass
-        processes both.
+        A single pair has four lanes for its outer ellipsoids and four for its inner ellipsoids, so one pass processes
+        both.
         """
         queue = queue_of(work)
         a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue.pairs
@@ -265,8 +265,8 @@ def _place(count, inner, work):
 def _find_best(count, work):
     """Find the maxima of the contact functions, for all pairs side by side, because each step waits for the last.
 
-    If two steps lead back to their start, which happens when only the last bits change, all later steps would do so,
-    too. Skipping these later steps leaves the result the same to the bit.
+    If two steps lead back to their start, which happens when only the last bits change, all later steps would do the
+    same. Skipping the later steps therefore does not change a bit of the result.
     """
     a, b, search = _a_of(work), _b_of(work), _search_of(work)
     for at in range(0, count, LANES):
@@ -296,7 +296,7 @@ def _between_points(r, a, Pn, b, Qn):
 
 @inline
 def _put_widths(search, at, P, Q, n, squared):
-    """Store the outward widths along n, and P n and Q n, for the next round."""
+    """Store the widths along n, rounded outward, and P n and Q n, for the next round."""
     hp, Pn = outward_width(P, n, squared)
     hq, Qn = outward_width(Q, n, squared)
     _store_rows(search.Pn, at, Pn)

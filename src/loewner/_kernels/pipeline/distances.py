@@ -138,7 +138,7 @@ class Measured(NamedTuple):
     tolerance : float
         The largest gap, relative to the lengths involved, at which the value is settled.
     radius_a, radius_b : float
-        Rounding radii of the pieces; the witnesses are still to be moved by these.
+        Rounding radii of the pieces; the witnesses have yet to be moved by these radii.
     """
 
     value: Any
@@ -336,7 +336,7 @@ def _of_overlap(A, B, n, faces, edges, result):
 
 @inline
 def _of_cores(A, B, lane, queue, searches):
-    """Status and distance of any other pieces: NEAREST if the distance is found; otherwise, OVERLAPPING or another."""
+    """Status and distance of any other pieces: NEAREST if the distance is found; if not, OVERLAPPING or another."""
     shift, n, size = _column(queue.shift, lane), _column(queue.normal, lane), queue.size[lane]
     plain = not (_is_curved(A) or _is_curved(B))
     if plain and queue.contact[lane] < 1.0:  # The pieces probably overlap.
@@ -467,8 +467,8 @@ def _room(kept, left):
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # Loops copy entries, here and elsewhere, because Numba would compile a Python error into an assignment of slices,
-    # in case the shapes differ.
+    # Here and elsewhere, loops copy entries. For an assignment of slices, Numba would also compile a Python error, in
+    # case the shapes differ.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]

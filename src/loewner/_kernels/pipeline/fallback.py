@@ -31,7 +31,7 @@ ROOM = 4096  # Limit on the number of triangles of a surface that a convex piece
 
 @njit()
 def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs start .. stop that are AMBIGUOUS in `out` from scratch; poses must be rigid.
+    """Settle from scratch all pairs among start .. stop that are AMBIGUOUS in `out`; poses must be rigid.
 
     The operands are documented in `verdicts`. A pair becomes INEXACT if it depends on triangles of surfaces, or points,
     that rounding cannot separate.
@@ -181,7 +181,7 @@ def _piece_pair(A, B, margin, work):
         return COLLIDING
     # GJK can be slow if curved pieces barely overlap. The expanding polytope then finds the same contact from inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == NO_VOLUME:  # NO_VOLUME is a sentinel, not a depth, so that it must not count as a separation.
+    if deep == NO_VOLUME:  # NO_VOLUME is a sentinel, not a depth, and must not count as a separation.
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

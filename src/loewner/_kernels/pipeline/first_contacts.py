@@ -1,7 +1,7 @@
 """First contacts of pairs of bodies that move and turn: proven time steps, and the first time of contact.
 
-Planes at the two ends of a step prove it, see docs/certified.md, "First contact": the normal turns from one plane to
-the other, and the gap lost in between is of second order in the step. Near contact the steps therefore converge
+A step is proven by planes at its two ends, see docs/certified.md, "First contact". The normal turns from one plane to
+the other, and the gap lost in between is of second order in the step. Near contact, the steps therefore converge
 quadratically. Times are fractions of the motion.
 """
 
@@ -42,7 +42,7 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 # A placed point has two errors. The error due to its body's rotation is proportional to the point's distance from the
-# body's origin, and the error of the origin itself to the coordinates of its start and end.
+# body's origin, and the error of the origin itself is proportional to the coordinates of its start and end.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
@@ -191,7 +191,7 @@ def rates_between(way_a, arm_a, way_b, arm_b):
 def _nearing_speed(A, way_a, B, way_b):
     """Bound on the rate at which the distance of two pieces changes.
 
-    If both nearest points turned with one body, they would move alike along the line between them, so that the point
+    If both nearest points turned with one body, they would move alike along the line between them. Therefore, the point
     nearer to the axis counts. For example, points of a turning floor that are far from the other body do not count.
     """
     table_a, table_b = A.table, B.table
@@ -326,7 +326,7 @@ def _reduced(w, gap, nearing, low, curve):
     """Shorten a step w that lost curve w² and is not proven, so that both parts of the step are likely to be proven.
 
     `low` is the gap at the end of the step. The plane there is likely to prove the last part of the step if the loss in
-    that part, also curve times the square of its length, is less than `low`.
+    that part, which is curve times the square of the part's length, is less than `low`.
     """
     most = min(REDUCED * w, 0.9 * _root(gap, nearing, curve))
     return min(max(w - REACHED * np.sqrt(max(low, 0.0) / curve), LEAST * w), most)
@@ -347,7 +347,7 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     -------
     verdict : int
     free_until : float
-        The pieces are proven free before this time. If the verdict is FREE, it is `horizon`, or slightly less.
+        The pieces are proven free before this time. If the verdict is FREE, this time is `horizon`, or slightly less.
     touching_at : float
         A time at which the pieces touch; inf if none is known.
     rounds : int
@@ -419,8 +419,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Step past the expected contact, by at most the time until it. If a search cannot settle so shallow a
-                # contact, it can settle one that is nearer to touching.
+                # Step past the expected contact, by at most the time until it. If a search cannot settle a contact this
+                # shallow, it can settle a contact that is closer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w
@@ -497,7 +497,8 @@ def first_contacts(start, stop, plan, pack_a, Ta0, Ta1, pack_b, Tb0, Tb1, margin
     Returns
     -------
     fault : int
-        2 k or 2 k + 1 if neither way to turn is shorter for a or b of pair k, which ends the work; otherwise -1.
+        2 k if neither way to turn is shorter for body a of pair k, and 2 k + 1 if this holds for body b; a fault ends
+        the work. Without a fault, -1.
     rounds : int
         Number of searches.
     """

@@ -55,7 +55,7 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Hints that one block passes to the next, also flags of `_flush`. FAR: most pairs are far apart. CLOSE: single
+# Hints that one block passes to the next; they are also flags of `_flush`. FAR: most pairs are far apart. CLOSE: single
 # precision could not settle most pairs.
 FAR, CLOSE = 1, 2
 
@@ -120,7 +120,7 @@ def is_identity(T):
 
 @njit()
 def _culled(query, flags, count, single, work):
-    """Drop listed pairs whose bounding spheres are apart; return whether poses are rigid, and the number left."""
+    """Drop listed pairs whose bounding spheres are apart; return whether poses are rigid, and how many are left."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     listed, ahead, tier = listed_of(work), ahead_of(work), tier_of(work)
     prefetching = flags & PREFETCHING != 0
@@ -178,8 +178,8 @@ def _improved(query, count, work):
 def _search(query, turn, count, fresh, last, work, out, tally):
     """Settle the open piece pairs in one half of the list by the exact searches.
 
-    Pairs of small polytopes that no plane separates at once wait until enough have been collected to fill the registers
-    of the batch GJK. If `last` is 1, none are left waiting.
+    Pairs of small polytopes that the first plane does not separate wait until enough have been collected to fill the
+    registers of the batch GJK. If `last` is 1, none are left waiting.
 
     Parameters
     ----------
@@ -275,9 +275,9 @@ def _flush(query, flags, count, work, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
     Open pairs are held for the exact search in one half of a list while the next block is certified, so that their
-    vertices arrive meanwhile. The few pairs that need the best s wait until they fill registers, and so do pairs for
-    the batch GJK (see `_search`). If the list is not DISTINCT, no pair waits: an immediate result may make the other
-    piece pairs unnecessary.
+    vertices arrive in the meantime. The few pairs that need the best s wait until they fill registers, and so do pairs
+    for the batch GJK (see `_search`). If the list is not DISTINCT, no pair waits: an immediate result may make the
+    other piece pairs unnecessary.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Brakes: the shortest stop of each joint in its own time, and stops on a path of straight motions.
 
-A brake is written as states at the times at which a velocity, an acceleration or its rate jumps: positions, velocities,
-and accelerations from then on. Between two states, accelerations change linearly, so that a piece follows from its
-first state and from the position at its end.
+A brake is a list of states, one for each time at which a velocity, an acceleration or its rate jumps. A state consists
+of positions, velocities, and the accelerations from then on. Between two states, accelerations change linearly. A piece
+is therefore determined by its first state and the position at its end.
 """
 
 import numpy as np
@@ -90,7 +90,8 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that comes to rest at once has its own piece, however short: on a longer piece, it would move farther.
+        # A joint that comes to rest immediately has its own piece, however short: on a longer piece, it would move
+        # farther.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:
@@ -176,7 +177,7 @@ def _write_state(state, rows, at, k, s, v, a):
 
 @njit()
 def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, states):
-    """Write a brake without limits of jerk: on each motion, the path's time slows down as fast as the limits allow.
+    """Write a brake without jerk limits: on each motion, the path's time slows down as fast as the limits allow.
 
     Returns
     -------
@@ -207,7 +208,7 @@ def _stop_motion_by_motion(rows, at, begin, first, strongest, beyond, times, sta
 
 @njit()
 def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, states):
-    """Write a brake with limits of jerk: the limits of every motion that it enters hold for the whole brake.
+    """Write a brake with jerk limits: the limits of every motion that it enters hold for the whole brake.
 
     Returns
     -------
@@ -262,8 +263,8 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
 def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, counts, needed):
     """Write brakes on a path of straight motions, one from each given time: the path's time slows down and stops.
 
-    The time s of the path begins at the rate 1. On each motion, the joint that allows least limits the second and third
-    derivatives of s, so that accelerations within the motion, and their rates, are within the limits of all joints.
+    The time s of the path begins at the rate 1. On each motion, the most restrictive joint limits the second and third
+    derivatives of s. Accelerations within the motion, and their rates, are therefore within the limits of all joints.
     Velocities jump at rows, because the path has corners there.
 
     Parameters
@@ -274,7 +275,7 @@ def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, cou
     begins : ndarray, shape (n,)
         Times of the path at which a brake begins, between the first and the last entry of `at`.
     strongest, jerk : ndarray, shape (dof,)
-        Documented in `brakes_by_joint`; without limits of jerk, all entries of `jerk` are infinite.
+        Documented in `brakes_by_joint`; without jerk limits, all entries of `jerk` are infinite.
     beyond : bool
         Whether a brake may continue beyond the last row, along the last motion.
     times, states, counts : ndarray, shape (n, k + 4), (n, k + 4, 3, dof) and (n,)

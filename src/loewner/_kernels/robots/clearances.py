@@ -2,7 +2,7 @@
 
 The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps along the contact normals between the outer
 ellipsoids of all pairs of pieces; it is below the least gap. Eight configurations are processed side by side, and pairs
-of pieces in runs. If a run has a smaller gap, the previous sum is scaled. A pair whose gap exceeds the least gap by
+of pieces in runs. If a run has a new least gap, the previous sum is scaled. A pair whose gap exceeds the least gap by
 more than FAR times the softness is ignored, because its term would be lost in rounding.
 """
 
@@ -257,7 +257,7 @@ def _bodies_far(to, a, b, cut):
 def _pieces_far(a, b, r, thinnest, cut):
     """Return whether the gaps of two pieces exceed the cut at all eight configurations.
 
-    Two ellipsoids touch at a growth of at least |r| over their widths along r (Cauchy-Schwarz).
+    Two ellipsoids touch at a growth of at least |r| divided by the sum of their widths along r (Cauchy-Schwarz).
     """
     widths = sqrt(dot(apply_symmetric(a.shape, r), r)) + sqrt(dot(apply_symmetric(b.shape, r), r))
     return _all_far(dot(r, r) / widths, thinnest, a.size + b.size, cut)
@@ -366,7 +366,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
-            # The result is at most the least gap: the sum contains a term of 1, so that its logarithm is not negative.
+            # The result is at most the least gap: the sum contains a term of 1, so its logarithm is not negative.
             lower[first + lane] = to.totals[_LEAST + lane] - softness * logarithm(total)
             if gradient:
                 for k in range(dof):

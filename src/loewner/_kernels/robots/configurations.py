@@ -10,7 +10,7 @@ cull
 certify
     `narrow.certificate` tests the ellipsoids of the remaining piece pairs, across configurations.
 search
-    Exact searches settle the pairs that are then open, one by one.
+    Exact searches settle the pairs that are still open, one by one.
 
 A configuration that was found colliding is skipped from then on, and a motion ends at its first collision. The caller
 chooses the order of the pairs: the pairs that collide most often come first.
@@ -269,7 +269,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # An overflow made the pose of a link non-rigid, so that no pair of the list is proven.
+            tier[:count] = OPEN  # An overflow made the pose of a link non-rigid, so no pair of the list is proven.
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]

@@ -117,7 +117,8 @@ class Moved(NamedTuple):
 class Strays(NamedTuple):
     """Bounds on eight motions: largest deviations, the least cosine, and the share of the tolerance that each takes.
 
-    The shares proportional to the square and the cube of a motion's length are `bends` and `twists`.
+    `bends` is the share that is proportional to the square of a motion's length, and `twists` the share that is
+    proportional to its cube.
     """
 
     position: Any

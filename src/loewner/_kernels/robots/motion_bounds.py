@@ -365,7 +365,7 @@ def ways_between(tables, rates, body, link, fixed):
     for k in range(down_from, down_to):
         joint = tables.path_link[k]
         turn, slide = rates.turn[joint], rates.slide[joint]
-        # On this side, a joint slides before it turns, so that its own turn counts as well.
+        # On this side, a joint slides before it turns, so its own turn counts as well.
         bend += 2.0 * slide * rest
         rest = max(rest - turn, 0.0)
         travel += rates.far[joint]

@@ -66,7 +66,7 @@ def configuration_at(tree, course, t, Q, row):
     tree : Tree
     course : ndarray, shape (degree + 1, dof)
         Control points of the course. The quaternions q and -q are the same orientation; each quaternion must be nearer
-        to the quaternion of the previous row than its negative.
+        to the quaternion of the previous row than its negative is.
     t : float
         From 0 to 1.
     Q : ndarray, shape (N, dof)

@@ -8,7 +8,7 @@ interval.
 cull
     Boxes about bodies in a whole block are compared first. Balls and boxes about swept bodies, boxes of trees over many
     pieces, and planes between ellipsoids follow, seven intervals at a time (`sweeps`). Pieces whose ellipsoids are deep
-    in each other are tested at once.
+    in each other are tested immediately.
 search
     `narrow.gjk_swept` searches for a plane between the pieces themselves, for each remaining piece pair. A plane that
     proves one interval is tried on the other intervals (`planes`).
@@ -127,17 +127,17 @@ ANSWERS, ANSWER = 64, 5
 FIRST_PAIRS = 4
 
 # If the ellipsoids of two pieces are nearer to each other than DEEP times the distance at which they touch, the pieces
-# are tested at once at their nearest configuration, because most such pieces collide.
+# are tested immediately at their nearest configuration, because most such pieces collide.
 DEEP = 0.7
 
-PARTS = 8  # An interval is cut into PARTS parts at once.
+PARTS = 8  # A cut divides an interval into PARTS parts.
 
 # The work for triangles may grow by the factor MORE after one cut, and by MOST_MORE after two cuts or if no cut
 # follows.
 MORE, MOST_MORE = 8, 64
 
-# A cut divides a width by eight, and fractions of 1 have 53 bits, so that after seventeen cuts an interval can be too
-# narrow for another cut.
+# A cut divides a width by eight, and fractions of 1 have 53 bits, so after seventeen cuts an interval can be too narrow
+# for another cut.
 DEPTH = 19
 STACK = 4 * DEPTH  # Each cut is three halvings, and each halving leaves one part waiting.
 
@@ -447,7 +447,7 @@ def _count(tally, entry, number):
 
 @inline
 def _allowed(tally):
-    """Number of steps that a walk may take: one more than are left, so that a walk with too few leaves less than 0."""
+    """Number of steps that a walk may take: one more than are left, so the number left ends below 0 if they run out."""
     return max(tally[STEPS_LEFT] + 1, 0)
 
 
@@ -739,7 +739,7 @@ def _halve(motion, near, back, low, high, n, tally):
         middle = (first + last) // 2
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
-        # The exact test of surfaces takes longer than tests with planes, so that it is run only after the planes have
+        # The exact test of surfaces takes longer than tests with planes, so it is run only after the planes have
         # failed.
         waits = has_surface
         if not waits:

@@ -89,7 +89,7 @@ def memory_of_nearest(pack, problem_handle, dof):
 def _least_distances(a, b):
     """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes.
 
-    The bound is -inf where squares overflow, because the bodies are then far from each other but not infinitely far.
+    Where squares overflow, the bound is -inf, which always holds: the bodies are far apart, but not infinitely far.
     """
     r, up, down, nought = minus(b.center, a.center), np.float32(UP), np.float32(DOWN), np.float32(0.0)
     balls = sqrt(dot(r, r)) * down - (a.radius + b.radius) * up

@@ -37,7 +37,7 @@ BALL, STANDING, STANDING_ROWS, STANDING_POSES = (
 PATH_START, PATH_LINK, REACHES, EXACT_ROWS, SIZES, ORDER, GROUP_START, GROUP_PAIRS, GROUPS, CHAIN = MOTION_ROWS.values()
 
 # Cosines of eighths of a turn, at which a joint's rotation is compared with an orthonormal one. The difference is a sum
-# of waves in the angle and in twice the angle, so that its maximum is less than twice the largest of eight samples.
+# of waves in the angle and in twice the angle, so its maximum is less than twice the largest of eight samples.
 _DIAGONAL = math.sqrt(0.5)
 COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 
@@ -210,7 +210,7 @@ def _write_paths(tree, tables):
 
 @njit()
 def _write_order(depths, problem, tables):
-    """Sort the pairs, stably, by their bodies' depths: bodies far out on the robot move most, and collide most."""
+    """Sort the pairs, stably, by their bodies' depths: bodies far out on the robot move and collide most."""
     at = 0
     for depth in range(len(depths), -1, -1):
         for k in range(len(problem.pairs)):

@@ -319,7 +319,7 @@ def near(a, b, keep, live):
 def near_once(bounds, body, S, others, other, other_S, keep):
     """Do the work of `near` at a block's first configuration, for rows of two tables; static bodies are a block of one.
 
-    Most pairs of bodies are far apart, so that the branch after the balls is usually predicted.
+    Most pairs of bodies are far apart, so the branch after the balls is usually predicted.
     """
     a, b = bounds.ctypes.data, others.ctypes.data
     i, j = body * BOUNDS * S, other * BOUNDS * other_S

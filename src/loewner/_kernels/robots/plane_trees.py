@@ -50,9 +50,9 @@ DEEPEST = 40
 # The required gaps are enlarged by the factor SHARE, as room for checkers that compute with enclosures.
 SHARE = 1.0 + 2e-9
 
-# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal, so that SCALES scales
-# are tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, the normal is also
-# tried in doubles, without rounding.
+# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal. Therefore, SCALES
+# scales are tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, the normal is
+# also tried in doubles, without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
 # Boxes are compared first. The boxes must be apart by BOX_ROOM times the model's size, because poses may bend slightly.
@@ -66,8 +66,8 @@ ROUNDED = 4e-5
 BEST_AXES = 3
 
 # Poses of links are stored at multiples of 1 / KEPT. At other times, poses are stored only for the middle of one
-# interval on each level: the search is depth first, so that both halves of an interval are finished before another
-# interval on the same level is cut.
+# interval on each level: the search is depth first, so both halves of an interval are finished before another interval
+# on the same level is cut.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
@@ -192,7 +192,7 @@ def _direction(model, clusters, poses, ends, n, least, far, error, memory):
     Returns
     -------
     near : bool
-        Whether the clusters are within `least` of each other, so that no such plane exists.
+        Whether the clusters are within `least` of each other; if so, no such plane exists.
     n : tuple of 3 float
     """
     W, result = vertices_of(memory), result_of(memory)
@@ -632,8 +632,8 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
         Room by which gaps must exceed the required gaps, as a share of the size of the model.
     state : ndarray, shape (pairs, 8 + 4 k)
         For each pair, the last normal and the plane that was written last, which are kept from motion to motion; then k
-        normals to try, each preceded by the side of the body in whose frame it is. Margins may be negative, which
-        allows overlaps that are less deep.
+        normals to try, each preceded by the side of the body in whose frame it is. Margins may be negative; a negative
+        margin allows overlaps that are less deep.
     tokens : ndarray of uint8
     normals : ndarray, shape (N, 3)
         `tokens` and `normals` receive the tokens, and the normals of all planes whose token is NORMAL or higher.

@@ -2,14 +2,14 @@
 
 A tree grows by a motion towards a drawn configuration. From its new node, it then continues towards the other tree, as
 far as motions are free [1]. A node from which a motion failed is extended only towards nearby configurations, in its
-dynamic domain [2]. Trees are stored column by column, so that the search for the nearest configuration runs in lanes;
-most trees are small.
+dynamic domain [2]. Most trees are small. The search for the nearest configuration therefore compares all of a tree's
+nodes, in lanes; trees are stored column by column for this search.
 
 The method differs from the papers in these points:
 
 1. The smaller tree grows, whereas [1] alternates between the trees.
 2. Configurations are drawn from a sequence of low discrepancy, not at random.
-3. The path to the other tree leads straight to one of its nodes, the nearest one at first, in at most `MOST_STEPS`
+3. The path to the other tree leads straight to one of its nodes, at first the nearest one, in at most `MOST_STEPS`
    equal steps.
 4. Before the first draw, the straight path from the start to the nearest goal is tried. All goals are roots of one
    tree.
@@ -42,11 +42,11 @@ from loewner._kernels.simd.vectors import rounded_product
 SHARE = 1 / 12
 
 # FIRST_DOMAIN is the radius of a node's dynamic domain, in units of the range, after the first failure of a motion from
-# the node, and LEAST_DOMAIN is the least radius. A failure reduces the radius by the fraction CHANGE, and a success
+# the node. LEAST_DOMAIN is the least radius. A failure reduces the radius by the fraction CHANGE, and a success
 # enlarges it.
 FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
 
-# Largest number of steps by which a tree is led to the other tree before the next draw.
+# Largest number of steps by which a tree is led towards the other tree before the next draw.
 MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
@@ -194,7 +194,7 @@ def _draw_within(search, nodes, roots, drawn, axis):
 
     A configuration that already lies in one of the ellipsoids is kept. The coordinates of a direction are sums of four
     uniform numbers, which are nearly normal. The radius is the largest of several uniform numbers, one for each joint,
-    so that it is distributed as in a ball.
+    so it is distributed as in a ball.
     """
     state, start, bound = search.state, nodes[0], search.reach[BOUND]
     for goal in range(roots):
@@ -398,7 +398,7 @@ def path_through(search, path):
     Returns
     -------
     int
-        1 if values were shifted by whole turns, so that the path differs slightly from the motions that were judged.
+        1 if values were shifted by whole turns; the path then differs slightly from the motions that were judged.
     """
     met = _search_of(search)
     trees, state, turned = _trees_of(met), met.state, 0

@@ -9,10 +9,10 @@ constants : ndarray, shape (L, CHAIN_CONSTANTS)
     The constants of `kinematics`, then MULTIPLIER, OFFSET, and AXIS, the axis of a turning joint in the frame that it
     moves.
 ranges : ndarray, shape (3, K)
-    LEAST and MOST are the limits, and HOW is the way in which a value moves. HELD keeps the value of the start. WRAPS
-    is an angle that is the same after a whole turn. FAR is a length without limits, whose seeds are multiples of the
-    distance from the start to the target. TURNS is the first entry of a quaternion, and REST its other entries. All
-    other values are PLAIN.
+    LEAST and MOST are the limits, and HOW describes how a value moves. HELD keeps the value of the start. WRAPS is an
+    angle that is the same after a whole turn. FAR is a length without limits, whose seeds are multiples of the distance
+    from the start to the target. TURNS is the first entry of a quaternion, and REST its other entries. All other values
+    are PLAIN.
 
 All quantities are in the frame of the target. The link's deviation has six coordinates: three of its origin, then three
 of its rotation E = S Z. Here, Z is a turn about the z axis (spin), and S is the smallest turn that takes the z axis to
@@ -22,9 +22,8 @@ spin grows with ω · (z + c) / (1 + c_z), because S turns perpendicular to z + 
 the tolerance; within the tolerance, it does not count.
 
 References
-----------
-Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method (IEEE T-RO 27, 2011): the
-squared damping is proportional to the squared error, so that the last steps are Newton's.
+---------- Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method (IEEE T-RO 27, 2011):
+the squared damping is proportional to the squared error, so the last steps are Newton's.
 """
 
 import numpy as np

@@ -37,7 +37,7 @@ def _move(path, first, count, by):
 
 @njit()
 def skip_corners(judge, path, count, ends, state):
-    """Skip the rows between two rows joined by a free motion; the farthest are tried first, then rows half as far."""
+    """Skip rows between two rows joined by a free motion; try the farthest rows first, then rows half as far away."""
     k = 0
     while k < count - 2:
         ahead = count - 1 - k

@@ -1,10 +1,10 @@
 """Memory by address: arrays for kernels in memory that Python owns.
 
 A call from Python takes 150 ns for every array that it passes and 20 ns for a number, and an array that a kernel makes
-itself takes an allocation. Therefore, Python owns the memory, passes its address, and keeps it alive.
+itself has to be allocated. Therefore, Python owns the memory, passes its address, and keeps it alive.
 
 An `Arena` divides such memory into named fields. The accessors of an arena write LLVM's code themselves, which takes
-almost no time; functions in Python would take Numba 5 ms a line.
+almost no time; Python functions would take Numba 5 ms per line.
 """
 
 from collections.abc import Callable, Iterator
@@ -59,7 +59,7 @@ integers_at, floats_at = _arrays_of(types.int64), _arrays_of(types.float64)
 
 @inline
 def held(array):
-    """Keep an array alive up to this call for a callee that received its address: Numba frees it after its last use."""
+    """Keep an array alive until this call, for a callee with its address: Numba frees an array after its last use."""
     return array.size
 
 

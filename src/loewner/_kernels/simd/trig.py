@@ -4,7 +4,7 @@ from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import absolute, cosines, everywhere, floor, round_to_even, select, sines
 
 # QUARTER_TURN is π/2 as a sum of three doubles (Cody and Waite). The first two doubles have 33 significant bits, so
-# that their products with an integer below 2^20 are exact. The error of the sum is below 2^-119.
+# their products with an integer below 2^20 are exact. The error of the sum is below 2^-119.
 QUARTER_TURN = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
@@ -71,8 +71,8 @@ def sine_of(x):
     return sine_cosine(x)[0]
 
 
-# SINGLE_QUARTER_TURN is π/2 as a sum of three floats. The first two floats have twelve bits, so that their products
-# with an integer below 2^12 are exact. The error of the sum is below 2^-57.
+# SINGLE_QUARTER_TURN is π/2 as a sum of three floats. The first two floats have twelve bits, so their products with an
+# integer below 2^12 are exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 
 SINGLE_LARGEST = 1000.0  # Largest angle [rad]; it has fewer than 2^10 quarter turns.

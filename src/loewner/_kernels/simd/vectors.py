@@ -2,8 +2,8 @@
 
 A formula written once for scalars runs unchanged on many piece pairs. The operators +, -, *, / and the functions below
 take both floats and vectors, and a float counts as the required number of copies. LLVM maps ``<8 x double>`` and ``<16
-x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so that nothing depends on its vectorisation
-of loops. Comparisons yield masks, because vectors cannot branch.
+x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so nothing depends on LLVM's vectorisation of
+loops. Comparisons yield masks, because code for vectors cannot branch.
 
 The third type is one lane of single precision, for a GPU thread. Unlike with Numba's float32, a literal combined with a
 lane is rounded to single precision, as it is with vectors. `simd.scalars` accesses memory for lanes.
@@ -458,7 +458,7 @@ def masked_store(typingctx, array, at, m, code):
 
 
 def _address(context, builder, array_type, array, offset):
-    if array_type.layout != "C":  # Strides are ignored, so that another layout would give wrong entries.
+    if array_type.layout != "C":  # Strides are ignored, so another layout would give wrong entries.
         raise errors.LoweringError(f"expected an array in C order, found {array_type}")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [offset])
@@ -629,7 +629,7 @@ def _prefetching_rows(count):
     def prefetch_rows(typingctx, table, width, rows, at):
         """Prefetch the first two cache lines of as many rows as a vector has lanes, a thousand instructions ahead.
 
-        Too few lines can be pending in the first-level cache for all rows and poses at the pace of the certificate.
+        At the pace of the certificate, too few lines can be pending in the first-level cache for all rows and poses.
         """
 
         def generate(context, builder, sig, args):

@@ -15,8 +15,8 @@ search_survivor
 conclude
     The verdicts; open configurations go to a list for the CPU.
 
-In a tile of S configurations, with S a power of two, the same number of all configurations lies side by side: entry r
-of link l at configuration s is at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S +
+In a tile of S configurations, with S a power of two, equal entries of all configurations lie side by side: entry r of
+link l at configuration s is at ``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S +
 s``.
 """
 
@@ -183,7 +183,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
-                # If an angle is too large or not a number, its error is unknown, so that it counts as infinite.
+                # If an angle is too large or not a number, its error is unknown, so it counts as infinite.
                 turn_off = turn_off + select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
                 t = along(t, value, _three(c, ACROSS))

@@ -209,7 +209,7 @@ def begin_motion(thread, most, moving, bends, state, items, capacity):
     at = add_to(items, 0, parts)
     if at + parts > capacity:
         raise_to(state, thread, LEFT_OPEN)
-        # Fill the remaining rows: every row up to the capacity is read, so that none may stay unset.
+        # Fill the remaining rows: every row up to the capacity is read, so none may stay unset.
         parts = max(0, min(parts, capacity - at))
     k = 0
     while k < parts:

@@ -2,7 +2,7 @@
 
 Bodies are ordered along a space-filling curve, large bodies before small ones. The tree is then implicit: node q of a
 level has the nodes 8q .. 8q+7 of the level below, without pointers. A group of eight boxes is contiguous in memory, as
-six rows of eight numbers (lower x, y, z, upper x, y, z), so that six vector comparisons compare one box with eight.
+six rows of eight numbers (lower x, y, z, upper x, y, z), so six vector comparisons compare one box with eight.
 
 Every rounding is outward: if the search finds boxes apart, their bodies are apart by more than the margin.
 
@@ -24,7 +24,7 @@ from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 ROWS = 6 * WIDE  # A group takes ROWS numbers.
-LEVELS = 22  # As 8^22 > 2^63, no index needs more than LEVELS levels.
+LEVELS = 22  # Because 8^22 > 2^63, no index needs more than LEVELS levels.
 
 # The curve has 2^20 steps along each axis; the size class takes the next four bits.
 STEPS = np.uint64(20)

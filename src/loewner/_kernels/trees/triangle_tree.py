@@ -44,7 +44,7 @@ OVAL = 9 * WIDE  # The ellipsoids take OVAL numbers.
 BOX = 8
 
 BINS, FEW_BINS, MANY = 16, 8, 256  # Ranges of at most MANY triangles use FEW_BINS bins.
-DEEP = 40  # After DEEP splits, ranges are halved, so that no tree is deeper than LEVELS.
+DEEP = 40  # After DEEP splits, ranges are halved, so no tree is deeper than LEVELS.
 LEVELS = DEEP + 28  # LEVELS suffice to halve 2^31 triangles down to leaves.
 
 MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or nearly all of its boxes are leaves.
@@ -334,8 +334,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
 def put_range(ranges, k, first, last, number):
     """Write a range of triangles and a number into row k.
 
-    An assignment to the whole row would take Numba a second, because it compiles the text of an error for rows of
-    another length.
+    An assignment to the whole row would take Numba a second, because Numba would compile the text of an error for rows
+    of another length.
     """
     ranges[k, 0], ranges[k, 1], ranges[k, 2] = first, last, number
 
