@@ -54,8 +54,8 @@ LEVELS = {
 }
 CPU_OF = {"arm64": "generic"}
 
-# Entries by module. For this machine's level, each group becomes a separate object file, so that an edit rebuilds few
-# files, and a program can begin when the files that it needs are there. Each group has a copy of the small functions
+# Entries by module. For this machine's level, each group becomes a separate object file. An edit then rebuilds few
+# files, and a program can begin as soon as the files that it needs exist. Each group has a copy of the small functions
 # that it calls, so groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
@@ -75,8 +75,8 @@ GROUPS = {
 # The demo does not need these groups, so a build in the background compiles them with a lower priority.
 LATER = ("distances", "arms", "others")
 
-# IN_BACKGROUND is the difference in priority. A program on a second core is then not slowed, and the build ends even on
-# a busy machine.
+# IN_BACKGROUND is the difference in priority. A program on a second core is then not slowed down, and the build ends
+# even on a busy machine.
 IN_BACKGROUND = 5
 
 # Figures for estimates of the remaining time: the number of functions, the seconds of one core per function, and the
@@ -91,7 +91,7 @@ EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
 # Programs in C and C++ link with the library `libloewner`.
 LIBRARY, API = "libloewner.so", ("kernels.c", "files.c", "scene.c", "queries.c", "plans.c", "gate.c", "pairs.c")
-FOR_C = () if WINDOWS else (LIBRARY,)  # The library uses the functions of POSIX for mapping files and for locks.
+FOR_C = () if WINDOWS else (LIBRARY,)  # The library uses POSIX functions to map files and to lock.
 HEADERS = SOURCES / "loewner" / "include"
 
 

@@ -37,7 +37,7 @@ void free_object(PyObject *object)
 
 /* -- signatures of kernels ----------------------------------------------------------------------------------------- */
 
-/* The letters of arrays, and NumPy's types of their numbers. */
+/* The letters for arrays, and NumPy's types for their numbers. */
 static const char ARRAYS[] = "FIBUT";
 static const int types[] = {NPY_DOUBLE, NPY_INT64, NPY_INT8, NPY_UINT8, NPY_BOOL};
 
@@ -112,7 +112,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
         *slot = truth;
         return truth < 0 ? -1 : 0;
     }
-    PyObject *number = PyNumber_Index(given); /* The number may be an integer of NumPy. */
+    PyObject *number = PyNumber_Index(given); /* The number may be a NumPy integer. */
     if (number == NULL)
         return -1;
     *slot = PyLong_AsLongLong(number);

@@ -1,6 +1,6 @@
 /* The parts of Numba's run time that kernels need: reference-counted memory. The layout of a description is Numba's
-   (numba/core/runtime/nrt.cpp). Compiled code updates the count by itself, and calls NRT_MemInfo_call_dtor when the
-   count reaches zero. `tests/test_native.py` compares the layout with the layout of the installed Numba. */
+   (numba/core/runtime/nrt.cpp). Compiled code updates the count itself, and calls NRT_MemInfo_call_dtor when the count
+   reaches zero. `tests/test_native.py` compares the layout with the layout of the installed Numba. */
 
 #include "system.h"
 

@@ -2,10 +2,10 @@
 
     python native/sanitize.py
 
-The extension and the library for C are compiled into `build/sanitize`, a copy of the package, next to the kernels that
-were built already; the kernels are not examined. A report ends the tests, and the exit status is 1. The run needs gcc
-with libasan and libtsan, on Linux. The sanitizer for threads watches a program with eight threads,
-`tests/capi_threads.c`, because it cannot watch Python.
+The extension and the library for C are compiled into `build/sanitize`, a copy of the package with the kernels that were
+built already. The kernels are not examined. A report ends the tests, and the exit status is 1. The run needs gcc with
+libasan and libtsan, on Linux. The sanitizer for threads watches a program with eight threads, `tests/capi_threads.c`,
+because it cannot watch Python.
 """
 
 import json
@@ -80,7 +80,7 @@ def threads_are_clean(to: Path) -> bool:
 def runtime() -> str:
     """Libraries that a program compiled without the sanitizer has to load first.
 
-    One library is the C++ library: the sanitizer looks for its functions at the start, but Python loads it later.
+    They include the C++ library: the sanitizer looks for its functions at the start, but Python loads it later.
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
     commands = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]

@@ -11,14 +11,14 @@
 
 #include <stddef.h>
 
-/* Return at least `size` bytes to which kernels may write, and which belong to this thread; NULL if they cannot be
-   allocated. The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of
-   its results: the handler of a signal waits until the interpreter continues, and no Python object is allocated before
-   that. A thread therefore never needs this memory for two calls at the same time. */
+/* Return at least `size` bytes of this thread's memory, to which kernels may write; NULL if they cannot be allocated.
+   The next call overwrites these bytes. No Python code runs between the call of a kernel and the last use of its
+   results: signal handlers wait until the interpreter continues, and until then no Python object is allocated. A thread
+   therefore never needs this memory for two calls at the same time. */
 void *thread_memory(size_t size);
 
-/* Call a kernel, and let other threads run meanwhile if `is_long`. Return the kernel's code, which is 0 unless memory
-   ran out. */
+/* Call a kernel, and let other threads run in the meantime if `is_long`. Return the kernel's code, which is 0 unless
+   memory ran out. */
 int32_t call_kernel(Function function, const void *arguments, void *results, int is_long);
 
 /* With more than MANY pairs of pieces, other threads may run during a call; with fewer pairs, letting them run would
@@ -32,14 +32,13 @@ Function function_of(PyObject *given, const char *takes, const char *gives);
 /* Return the answer of a query: a bool in the mode EXACT, otherwise the number of the verdict; None for -1. */
 PyObject *answer_of(int mode, int verdict);
 
-/* The beginning of an object for queries. `held` keeps the objects alive to which the other fields refer. */
+/* The beginning of an object for queries. `held` keeps alive the objects to which the other fields refer. */
 typedef struct {
     PyObject_HEAD
     PyObject *held;
 } Holder;
 
-/* Make a type of such objects, whose size is `size` bytes, and add the type to a module; return 0, or -1 with an
-   exception. */
+/* Make a type for such objects of `size` bytes, and add the type to a module; return 0, or -1 with an exception. */
 int add_holder(PyObject *module, const char *name, const char *text, size_t size, newfunc make, PyMethodDef *methods);
 
 /* Return whether an array is exactly of NumPy's class, and holds float64 in the layout that kernels take. */

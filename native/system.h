@@ -1,5 +1,5 @@
-/* Libraries, memory that begins at a cache line, and memory of threads, for which Windows and POSIX have different
-   names. The part for Windows is untested. */
+/* Functions for libraries, for memory that begins at a cache line, and for memory of threads. Windows and POSIX have
+   different names for these functions. The part for Windows is untested. */
 
 #ifndef LOEWNER_SYSTEM_H
 #define LOEWNER_SYSTEM_H

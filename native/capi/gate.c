@@ -144,7 +144,7 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Make the parts of a gate, whose own memory exists already. */
+/* Make the parts of a gate whose own memory exists already. */
 static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
 {
     TRY(make_room(gate));
@@ -256,9 +256,10 @@ static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
     return holds;
 }
 
-/* Return the next tick, among from..to of the last chunk, that agrees with a measured state, the nearest tick first; -1
-   if no more ticks agree. Several ticks agree if the robot is slow. The tick of the present time comes first, even if
-   the world is at rest. `off` and `tick` have the values of the previous call; for the first call, both are -1. */
+/* Find the ticks that agree with a measured state, one per call and the nearest first, among the ticks from..to of the
+   last chunk. Return the next such tick; -1 if no more ticks agree. Several ticks agree if the robot is slow. The tick
+   of the present time comes first, even if the world is at rest. `off` and `tick` have the values of the previous call;
+   for the first call, both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -320,7 +321,7 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count)
         made->braked--;
     const Stop stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* A failure stays known if all targets on which it depends are still there. */
+    int is_same = is_same_world(gate); /* A failure is remembered if all targets on which it depends are still there. */
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : NONE;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : NONE;
     return 1;
@@ -413,8 +414,8 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t poin
 }
 
 /* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL if the robot brakes on the
-   path. A robot that is faster by the velocity error travels farther and comes to rest later. The proof of a
-   joint-by-joint brake as a whole may take `steps` steps. */
+   path. A robot that is faster by the velocity error travels farther and comes to rest later. `steps` limits the steps
+   of the proof of a joint-by-joint brake as a whole. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;

@@ -1,6 +1,6 @@
 /* Declarations that the files of `libloewner` share; programs include only `loewner.h`.
 
-   kernels.c   finds the machine code beside the library        files.c     maps files and checks them
+   kernels.c   finds the machine code next to the library        files.c     maps files and checks them
    scene.c     bodies, pairs and poses of a checker, as kernels take them
    queries.c   configurations and motions                       plans.c     paths
    gate.c      chunks of targets in a control loop              pairs.c     pairs of bodies, without a checker */
@@ -55,7 +55,7 @@ typedef struct {
 /* Return the kernels of this machine, which are loaded at the first call; NULL, with an error, if none exist. */
 const Kernels *kernels(void);
 
-/* Return the number of elements that are handled together, if n are left. */
+/* Return how many elements are handled together when n are left. */
 static inline size_t at_most(size_t n, size_t most)
 {
     return n < most ? n : most;
@@ -96,7 +96,7 @@ loewner_status call(Kernel kernel, const void *arguments, void *results);
 /* A pack is a `struct pieces`, which consists of arrays only. */
 enum { PACK_ARRAYS = sizeof(struct pieces) / sizeof(Array2) };
 
-/* Return the number of groups in the tree over the pieces of a body, if the body has a tree. */
+/* Return the number of groups in the tree over this number of pieces, provided that the body has a tree. */
 static inline int64_t groups_of(int64_t pieces)
 {
     int64_t total = 0;
@@ -122,7 +122,7 @@ typedef struct {
 
 enum { SURFACE_ARRAYS = sizeof(Surface) / sizeof(Array2) };
 
-/* Which surfaces are cut into parts: none (WHOLE), all (CUT), or surfaces of static bodies without solids, into small
+/* Which surfaces are cut into parts: none (WHOLE), all (CUT), or surfaces of static bodies except solids, into small
    parts (OPEN_CUT). */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
@@ -289,7 +289,7 @@ loewner_status check_poses(const double *poses, size_t n, const char *name);
 /* Refuse a number of rows, each of several doubles, whose size in bytes would wrap around and pass for a small one. */
 loewner_status check_count(size_t n, size_t doubles, const char *name);
 
-/* Return the errors of joints, which may be NULL; NULL if all of them are 0. */
+/* Return the joint errors, or NULL if they are NULL or all 0. */
 static inline const double *if_any(const double *errors, int64_t dof)
 {
     for (int64_t c = 0; errors != NULL && c < dof; c++)
@@ -298,7 +298,7 @@ static inline const double *if_any(const double *errors, int64_t dof)
     return NULL;
 }
 
-/* Check the errors of joints, which may be NULL, and replace them by NULL if all are 0. */
+/* Check joint errors, which may be NULL, and replace them with NULL if all are 0. */
 loewner_status take_errors(const loewner_checker *checker, const double **joint_error);
 
 /* Limit on the steps of a proof; 0 stands for no limit. */
@@ -318,11 +318,11 @@ loewner_status collide(loewner_workspace *workspace, int mode, const double *con
 /* Write the verdict for one valid configuration, and the first pair with this verdict; -1 if all pairs are free. */
 loewner_status worst_pair(loewner_workspace *workspace, const double *q, int8_t *verdict, int64_t *pair);
 
-/* Write the courses of straight motions, from number `first` of n on, to the workspace; return how many there are, at
-   most MOTIONS_AT_ONCE. */
+/* Write the courses of the next straight motions, from number `first` of n, to the workspace; return how many were
+   written, at most MOTIONS_AT_ONCE. */
 size_t write_courses(loewner_workspace *workspace, const double *starts, const double *ends, size_t first, size_t n);
 
-/* Prove the n courses in the workspace, which begin at number `first` of all courses to which the options apply. The
+/* Prove the n courses in the workspace. They begin at number `first` of all courses to which the options apply. The
    options are checked and have no defaults. The workspace's `fractions` and `found_pairs` receive results, and row k of
    its `work` receives the placed configurations, searches and steps of course k. */
 loewner_status prove(loewner_workspace *workspace, size_t first, size_t n, int32_t degree,
@@ -335,7 +335,7 @@ loewner_status certify(loewner_workspace *workspace, const double *courses, int6
                        int64_t width, double tolerance, int8_t as_given, int64_t steps, int8_t *verdicts);
 
 /* Write the errors of the values of a course (`joint_error` may be NULL), and the errors of bodies with bounds from t0
-   to t1, where these times may be off by `late`. The row has dof + 3 growing numbers. */
+   to t1; both times may be off by `late`. The row has dof + 3 growing numbers. */
 void write_off(const loewner_checker *checker, const double *course, int64_t points, const double *joint_error,
                double t0, double t1, double late, double *row);
 

@@ -9,7 +9,7 @@
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
-/* Arguments by which kernels receive the scene of a workspace, and the tables for motions. */
+/* Arguments that pass the scene of a workspace, and the tables for motions, to kernels. */
 #define SCENE(workspace)                                                                                               \
     .pack = (workspace)->pack, .problem_handle = (int64_t)&(workspace)->tables, .memory = (workspace)->memory
 #define MOTIONS(half)                                                                                                  \
@@ -224,7 +224,7 @@ loewner_status loewner_checker_collide_placed(const loewner_checker *checker, lo
     TRY(check_poses(link_poses, (size_t)links, "link_poses"));
     TRY(expect_pointer(verdict, 1, "verdict"));
     memcpy(workspace->link_poses, link_poses, (size_t)links * 16 * sizeof(double));
-    /* Attached bodies have links of their own, which follow the links of the robot. */
+    /* Attached bodies have their own links, which follow the links of the robot. */
     for (int64_t k = 0; k < state->moving; k++) {
         const Body *body = checker->bodies + state->body[k];
         if (body->is_attached)

@@ -124,7 +124,7 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
 
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
-/* Return the row of a table that begins with two bodies, a < b; -1 if no row does. */
+/* Return the row of a table that begins with two bodies, a < b; -1 if there is no such row. */
 static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
     for (int64_t k = 0; k < count; k++)
@@ -133,7 +133,7 @@ static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t
     return -1;
 }
 
-/* Return whether the bodies are exactly the bodies of the file, with the file's pairs, and all of them are present. */
+/* Return whether the bodies and their pairs are exactly the file's, and all bodies are present. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;

@@ -106,7 +106,7 @@ def _modules_of_type(kind: Any) -> set[str]:
 
 
 class _Cache(NullCache):
-    """Compiled code of one kernel in the store: one file for each signature, as a part or as an entry.
+    """The compiled code of one kernel in the store: one file per signature, as a part or as an entry for Python.
 
     Disk faults raise no errors here: code that cannot be read is compiled again, and code that cannot be written stays
     in memory.

@@ -50,8 +50,8 @@ NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13
 # Outcomes of a search for a path: the trees met, all iterations were used, or the memory for the trees is full.
 MET, SPENT, FULL = 0, 1, 2
 
-# Outcomes of following a line: it was followed to its end; it turns by half a turn; it is too long; or it cannot be
-# continued, because of the tolerances or because of a kept axis.
+# Outcomes of following a line: the line was followed to its end; it turns by half a turn; it is too long; the
+# tolerances prevent the next step; or a kept axis prevents it.
 FOLLOWED, HALF_TURN, TOO_FAR, STOPPED, TILTED = 0, 1, 2, 3, 4
 
 # Elementary functions, for Python and C.

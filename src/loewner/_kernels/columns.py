@@ -36,8 +36,8 @@ CACHE_LINE = 64  # A cache line has CACHE_LINE bytes.
 # A polytope with more than LARGE vertices is MAPPED. For a smaller polytope, searching all vertices is as fast as using
 # a map.
 LARGE = 128
-# Limit on the divisions of a cell. Without a limit, a flat face would never end them, because all its vertices share
-# the cells around its normal.
+# Limit on the divisions of a cell. Without a limit, the divisions at a flat face would never end, because all vertices
+# of the face share the cells around its normal.
 DEEPEST = 14
 GRID = 1 << DEEPEST
 

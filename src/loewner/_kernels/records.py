@@ -216,7 +216,7 @@ TABLE = ENTRIES * (len(PROBLEM_ROWS) + len(MOTION_ROWS))
 
 
 class PlaneModel(NamedTuple):
-    """The input of `robots.plane_trees`: bodies with their pieces, and joints, in the numbers of a proof's model.
+    """The input of `robots.plane_trees`: bodies with their pieces, and joints, numbered as in a proof's model.
 
     Attributes
     ----------

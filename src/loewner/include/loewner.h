@@ -16,8 +16,8 @@
 
    LIMITS of joints are ignored, except by `loewner_checker_plan` and gates.
 
-   THREADS. Any number of threads may query a checker or bodies at the same time, each with its own workspace; a
-   workspace that another thread is using is refused. A function that takes a `loewner_checker *` that is not const
+   THREADS. Any number of threads may query a checker or bodies at the same time, each with its own workspace. A call
+   that gets a workspace in use by another thread fails. A function that takes a `loewner_checker *` that is not const
    changes the checker, and no other thread may use this checker during the call.
 
    ERRORS. Functions return LOEWNER_OK or the kind of the error, and `loewner_error_text` describes this thread's last
@@ -173,9 +173,9 @@ typedef struct {
 
 /* STEPS measure the work of a proof: placing configurations, comparing pairs of bodies and of pieces, searching, and
    opening boxes around parts of surfaces and around groups of pieces. A motion takes at most `steps` plus a number that
-   depends only on the scene; docs/certified.md, "Bounded work", gives both, and the time that they take. Some work is
-   not counted: once for each motion, a check like `..._collide` confirms COLLIDING on a curve, or the start of a motion
-   that is free among solid surfaces. */
+   depends only on the scene; docs/certified.md, "Bounded work", gives this number and the time that steps take. Some
+   work is not counted. Once for each motion, a check like `..._collide` confirms COLLIDING on a curve, or confirms the
+   start of a motion that is free among solid surfaces. */
 
 /* Prove n motions on which all values change linearly from `starts` to `ends`, shape (n, dof) each, and orientations
    turn the shorter way. FREE holds at every real fraction of a motion; COLLIDING holds at the fraction that
@@ -202,7 +202,7 @@ LOEWNER_API loewner_status loewner_checker_certify_curves(const loewner_checker 
                                                           double *fractions, int32_t (*bodies)[2]);
 
 typedef struct {
-    const uint8_t *joints;     /* shape (dof,): 1 for values that may change, of joints with one value; NULL: all */
+    const uint8_t *joints;     /* shape (dof,): 1 for values that may change (joints with one value); NULL: all */
     const double *joint_error; /* shape (dof,), or NULL */
     int64_t max_iterations;    /* random configurations to draw; 0: no limit */
     double timeout;            /* seconds, checked after 64 to 512 iterations; 0: 10 */
@@ -256,7 +256,7 @@ LOEWNER_API loewner_status loewner_checker_detach(loewner_checker *checker, int3
 LOEWNER_API loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_t b, int allowed);
 LOEWNER_API loewner_status loewner_checker_set_margin(loewner_checker *checker, int32_t a, int32_t b, double margin);
 
-/* How far a body of the scene may deviate from its pose: at a time t, its origin by metres + speed |t - since|, and its
+/* How far a body of the scene may deviate from its pose at a time t: its origin by metres + speed |t - since|, and its
    orientation by radians + turn |t - since|. A point at the distance r from the origin deviates by no more than the
    first bound plus r times the second bound. */
 typedef struct {
@@ -320,7 +320,7 @@ typedef struct {
     int32_t is_proven; /* whether the brake is proven */
     int64_t work;      /* steps that the proofs took */
     /* The brake. If no other answer arrives, the brake begins `begins` seconds after the tick of this check: after
-       `steps` targets and the latency. If the state is BRAKE, the order to brake is due at once, and the robot
+       `steps` targets and the latency. If the state is BRAKE, the order to brake is due immediately, and the robot
        continues to targets of the previous answer until the latency is over. The gate owns these numbers until its next
        check. Between two times, positions follow the cubic that has the given positions and velocities at both times;
        accelerations are the values just after each time. */

@@ -4,9 +4,9 @@ With shape matrices P and Q, r = b - a and K(s) = (1-s) P + s Q, the function
 
     F(s) = s (1-s) rᵀ K(s)⁻¹ r
 
-is concave on [0, 1], and the ellipsoids overlap exactly if max F <= 1. In 3-D, F = s(1-s) q(s)/d(s) with a quadratic q
-and a cubic d. Their coefficients are computed once, so a Newton step takes only a few scalar operations. The proofs
-trust neither F nor s: n = K⁻¹ r and the points a + (1-s) P n = b - s Q n are checked separately (see
+is concave on [0, 1], and the ellipsoids overlap if and only if max F <= 1. In 3-D, F = s(1-s) q(s)/d(s) with a
+quadratic q and a cubic d. Their coefficients are computed once, so a Newton step takes only a few scalar operations.
+The proofs trust neither F nor s: n = K⁻¹ r and the points a + (1-s) P n = b - s Q n are checked separately (see
 docs/certified.md).
 
 P and Q are symmetric matrices, and r and n are vectors, as in `linalg3`. All functions are pure and branch-free, and
@@ -220,7 +220,7 @@ def contact(P, Q, r):
     Returns
     -------
     F, s : float
-        The ellipsoids overlap (touching included) exactly if F <= 1.
+        The ellipsoids overlap (touching included) if and only if F <= 1.
     """
     F, s, _ = maximize(P, Q, r, 12)
     return F, s

@@ -1,7 +1,7 @@
 """The gap between the support planes of two ellipsoids along the contact normal, and its derivative for a motion.
 
-The contact normal n = K(s)⁻¹ r, at the s with the greatest contact function F, depends smoothly on both ellipsoids as
-long as their centers differ, whether or not the ellipsoids are apart. The gap along the contact normal is smooth, too:
+The contact normal is n = K(s)⁻¹ r at the s with the greatest contact function F. It depends smoothly on both
+ellipsoids, apart or not, as long as their centers differ. The gap along the contact normal is smooth, too:
 
     g = (n·r - √(nᵀPn) - √(nᵀQn)) / |n| = n·r/|n| (1 - 1/√F),
 

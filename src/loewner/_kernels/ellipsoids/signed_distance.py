@@ -58,9 +58,9 @@ MAX_INTERVALS = 600
 GROWTH = 16.0  # Ratio between the distances of successive intervals from the minimum, in log r.
 _STACK = 160
 
-# The proof by an inner ellipsoid requires that M - h s is positive definite by a margin: SPARE times h s, plus
-# PIVOT_ROUNDINGS roundings of the trace of M (about twice the rounding of M's entries and pivots). Both constants are
-# choices, not bounds: no verdict depends on them.
+# The proof by an inner ellipsoid requires that M - h s is positive definite by a margin. The margin is SPARE times h s,
+# plus PIVOT_ROUNDINGS roundings of the trace of M, which is about twice the rounding of M's entries and pivots. Both
+# constants are choices, not bounds: no verdict depends on them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 

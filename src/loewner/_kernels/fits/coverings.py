@@ -1,8 +1,8 @@
 """Choose a few balls or capsules that hold many points: greedily, then by exchanges guided by weights of points.
 
-A matrix of bits, in words of 64, records which candidate holds which point. The matrix is stored twice: by point, where
-bit c of word w is for candidate 64 w + c, and by candidate, where bit c of word w is for point 64 w + c. A step can
-therefore read the points of one candidate, or the candidates of one point, a word at a time.
+A matrix of bits, in words of 64, records which candidate holds which point. The matrix is stored twice. By point, bit c
+of word w is for candidate 64 w + c; by candidate, bit c of word w is for point 64 w + c. A step can therefore read the
+points of one candidate, or the candidates of one point, a word at a time.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ WORD = 64
 # A candidate takes ROWS numbers: its center, its axis, the inverse squared length of the axis, and its radius.
 ROWS = 8
 
-# An exchange compares the candidates of one point on a sample of about SEEN missed points.
+# An exchange compares the candidates that hold one point, by a sample of about SEEN missed points.
 SEEN = 128
 
 # STEPS_EACH is the largest number of exchanges for each initially chosen candidate. A candidate may be dropped again
@@ -63,7 +63,7 @@ def find_held(first, points, candidates, by_point, by_candidate):
 
 @inline
 def _held(points, p, candidates, m, at, round_):
-    """Bits of eight candidates, starting at one of them: whether each holds a ball."""
+    """Bits of eight consecutive candidates: whether each holds a ball."""
     x = points[p, 0] - load(candidates, at)
     y = points[p, 1] - load(candidates, m + at)
     z = points[p, 2] - load(candidates, 2 * m + at)
@@ -94,8 +94,8 @@ def _transpose(tile):
 def choose_few(count, steps, start, by_point, by_candidate, chosen):
     """Choose a small number of candidates that together hold all points.
 
-    Points that are missed repeatedly get weight, which leads the search out of local minima (Gao, Weise and Li: An
-    efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
+    Points that are missed repeatedly gain weight. The weights lead the search out of local minima (Gao, Weise and Li:
+    An efficient local search heuristic with row weighting for the unicost set covering problem, 2015).
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _drop_held(by_candidate, k, missed):
 
 @njit()
 def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
-    """Reduce the number of candidates that hold all points, by exchanges; return the number.
+    """Reduce, by exchanges, the number of candidates that hold all points; return the number.
 
     Each step drops a candidate and adds another one that holds a missed point. If no point is missed, candidates are
     dropped first, until a point is missed.

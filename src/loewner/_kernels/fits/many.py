@@ -4,9 +4,9 @@ For every face, the farthest vertices along its normal are needed. A map of dire
 few dozen candidates. The map is made in coordinates of unit size, y = F⁻¹ (v - o), where no hull is thin: n·(v - w) =
 e·(y_v - y_w) with e = Fᵀ n.
 
-The vertices that the map omits must not matter to any face. The slack of the map therefore covers the difference of the
-computed heights n·(v - c) and e·y, and the window of heights that count as lying in the face. Let u be the unit
-roundoff, R the largest |y|, and B = ‖|F⁻¹||F|‖ >= √3:
+The vertices that the map omits must not matter to any face. The slack of the map therefore covers two amounts: the
+difference between the computed heights n·(v - c) and e·y, and the window of heights that count as lying in the face.
+Let u be the unit roundoff, R the largest |y|, and B = ‖|F⁻¹||F|‖ >= √3:
 
 - |n|ᵀ|v - c| = |F⁻ᵀ e|ᵀ|F (y_v - y_c)| <= 2 B R |e|, so two computed heights err by 2 · 5 u · 2 B R |e| together;
 - the error of the computed e is 3 u |F|ᵀ|n|, and the error of a y is 4 u |F⁻¹||F||y|: 14 u B R |e| for two vertices;

@@ -11,7 +11,7 @@ The method differs from Mehrotra's in these points:
    that a step takes O(m) operations; predictor and corrector share the factorisation.
 2. The steps do not enforce Σ u = 1. The sum follows from the optimality conditions, and the weights are divided by
    the sum at the end.
-3. The iteration stops at the gap below, which needs no small residuals.
+3. The iteration stops when the gap defined below is small enough. This test needs no small residuals.
 4. The extreme points of Kumar and Yıldırım (2005) give the coordinates in which the problem is solved.
 5. For many points, an active set is used. Each round adds the farthest point of each of 2n sectors, and drops light
    points inside. The first rounds are solved loosely.
@@ -277,7 +277,7 @@ def _direction(place, u):
 
 @njit()
 def spread_points(points, flatness, chosen, origin, frame):
-    """Choose 2n points far apart and a frame from them: Kumar and Yıldırım (2005), section 4.1.
+    """Choose 2n points that are far apart, and derive a frame: Kumar and Yıldırım (2005), section 4.1.
 
     The two extreme points are chosen along one direction after another, each orthogonal to the differences found so
     far. `origin` becomes the mean of the chosen points. `frame` becomes a lower triangular matrix whose parallelepiped
@@ -464,8 +464,9 @@ def enclose(points, center, factor):
 def outer_gap(points, index, u, count, center, factor, error):
     """Certified log(volume / smallest volume) of {c + L ball}, from dual weights on some of the points.
 
-    With y = L⁻¹ (x - c) and S their weighted covariance, the optimum has at least the volume of √n S^½ ball. The gap is
-    therefore -½ log det S - n/2 log n, plus the amount that rounding (`error`, relative, on y) can hide.
+    Let y = L⁻¹ (x - c), and let S be the weighted covariance of all y. The optimum has at least the volume of √n S^½
+    ball. The gap is therefore -½ log det S - n/2 log n, plus the amount that rounding can hide; `error` is the relative
+    rounding error of y.
     """
     n = points.shape[1]
     mean = np.zeros(n)

@@ -343,8 +343,8 @@ def _step(place, A, x, careful):
 def _direction(place, A, mu, worst):
     """Solve for the steps dx, dy and dz, with the products of dy and dz so far.
 
-    Returns whether the system could be solved; how far y may go along its step, and how far x and z may; and the larger
-    of `worst` and the residuals of h + z = d.
+    Returns whether the system could be solved, the largest step length for y, the largest step length for x and z, and
+    the larger of `worst` and the residuals of h + z = d.
     """
     m, n, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
     A, V, P, PA, lhs, h, d = borrowed(A), work.V, work.P, work.PA, work.lhs, work.h, work.d

@@ -15,8 +15,8 @@ from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 def face_slacks(vertices, normal, center):
     """Bounds on the slack of one face at `center`, from the face's own vertices.
 
-    Returns (low, high): `low` is a lower bound on the smallest n·(v - c) over the face's own vertices, and `high` an
-    upper bound on the largest over all vertices. docs/containment.md explains why `low` proves containment.
+    Returns (low, high): `low` is a lower bound on the smallest n·(v - c) of the face's own vertices, and `high` is an
+    upper bound on the largest n·(v - c) of all vertices. docs/containment.md explains why `low` proves containment.
     """
     m, n = vertices.shape
     top = -np.inf

@@ -235,7 +235,7 @@ def _miss(r, s, Pn, Qn):
 
 @inline
 def _apart(a, b, r, n, s, size, unit, sure):
-    """Masks of pairs that n certainly separates, and of pairs that certainly no s separates, because F < 1 everywhere.
+    """Masks of pairs that n certainly separates, and of pairs that no s can separate, because F < 1 everywhere.
 
     F is concave, so its value and its slope at s, (1-s)² nᵀPn - s² nᵀQn, bound F everywhere. Rounding changes the slope
     by at most the change of F divided by s(1-s).

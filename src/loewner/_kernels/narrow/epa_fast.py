@@ -27,7 +27,8 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# Limit on the corners of a polytope. With more corners, transforming all of them to the world frame does not pay off.
+# Limit on the corners of a polytope. With more corners, it does not pay off to transform all corners to the world
+# frame.
 MAX_CORNERS = 1024
 MAX_FACES = 64  # Each face takes one bit of a mask. Hulls of 20 points need 20 to 30 faces.
 MAX_POINTS = MAX_FACES // 2 + 2  # By Euler's formula, a closed surface of MAX_FACES triangles has MAX_POINTS points.

@@ -323,8 +323,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores that span no volume (points, parallel segments) have depth zero, because a shift perpendicular to their
-        # plane or line separates them at once. The caller takes the deepest points from GJK.
+        # Cores that span no volume (points, parallel segments) have depth zero, because any shift perpendicular to
+        # their plane or line separates them. The caller takes the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
     # Faces 0..3 lie opposite corners 0..3. Once oriented, the corners of each face run counter-clockwise seen from
     # outside.

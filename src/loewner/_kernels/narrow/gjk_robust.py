@@ -26,8 +26,8 @@ from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 # linearly. MAX_ROUNDS only prevents an endless loop.
 MAX_ROUNDS = 512
 
-# A distance is final when its upper and lower bounds differ by less than DISTANCE_TOLERANCE times the distance, plus
-# ERROR_SHARE times the proven error bound, which is generous.
+# A distance is final when its upper and lower bounds differ by less than DISTANCE_TOLERANCE times the distance plus
+# ERROR_SHARE times the proven error bound, which usually far exceeds the error.
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 

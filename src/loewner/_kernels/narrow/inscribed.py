@@ -1,9 +1,9 @@
 """Ellipsoids inside the solid that a closed triangle mesh bounds; each is proven to be inside.
 
-A seed grows as in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7). Planes between the ellipsoid and the
-triangles nearest to it, in the ellipsoid's own metric, cut out a polytope, and the largest ellipsoid in this polytope
-is the next ellipsoid. The planes are found with tolerances, because no proof depends on them: the result is shrunk
-until a proof succeeds.
+A seed grows as in IRIS (Deits and Tedrake 2015, doi:10.1007/978-3-319-16595-0_7). Planes separate the ellipsoid from
+the triangles that are nearest to it in its own metric. These planes bound a polytope, and the next ellipsoid is the
+largest one in this polytope. The planes are found with tolerances, because no proof depends on them: the result is
+shrunk until a proof succeeds.
 
 The proof has two parts. First, no triangle meets the ellipsoid: in the ellipsoid's metric, every triangle is farther
 from the center than 1. Second, the center is inside, because the surface winds around it. A point is inside if its
@@ -120,19 +120,19 @@ class Mesh(NamedTuple):
 
 @inline
 def lower(L, v):
-    """Product of a lower triangular matrix, six numbers in row order, and a vector."""
+    """Product of a lower triangular matrix (six numbers in row order) and a vector."""
     return L[0] * v[0], L[1] * v[0] + L[2] * v[1], L[3] * v[0] + L[4] * v[1] + L[5] * v[2]
 
 
 @inline
 def upper(L, v):
-    """Product of the transpose of a lower triangular matrix, six numbers in row order, and a vector."""
+    """Product of the transpose of a lower triangular matrix (six numbers in row order) and a vector."""
     return L[0] * v[0] + L[1] * v[1] + L[3] * v[2], L[2] * v[1] + L[4] * v[2], L[5] * v[2]
 
 
 @inline
 def inverse(F):
-    """Inverse of a lower triangular matrix, given as an array, as six numbers in row order."""
+    """Six numbers, in row order, of the inverse of a lower triangular matrix that is given as an array."""
     a = 1.0 / F[0, 0]
     c = 1.0 / F[1, 1]
     f = 1.0 / F[2, 2]
@@ -142,7 +142,7 @@ def inverse(F):
 
 @inline
 def six(F):
-    """Six numbers, in row order, of a lower triangular matrix, given as an array."""
+    """Six numbers, in row order, of a lower triangular matrix that is given as an array."""
     return F[0, 0], F[1, 0], F[1, 1], F[2, 0], F[2, 1], F[2, 2]
 
 
@@ -172,7 +172,7 @@ def write_plane(mesh, k, n, offset):
 
 @inline
 def _row_lengths(G):
-    """Length of the vector whose entries are the sums of absolute values in the rows of a lower triangular matrix."""
+    """Length of the vector of row sums of a lower triangular matrix, where the sums are of absolute values."""
     x, y, z = abs(G[0]), abs(G[1]) + abs(G[2]), abs(G[3]) + abs(G[4]) + abs(G[5])
     return np.sqrt(x * x + y * y + z * z)
 
@@ -312,7 +312,7 @@ def volume(F):
 
 @njit()
 def add_planes(mesh, center, G, limit, first, count, most):
-    """Add planes between an ellipsoid and its nearest triangles, until all within `limit` are beyond a plane.
+    """Add planes between an ellipsoid and its nearest triangles, until all triangles within `limit` are beyond one.
 
     Triangles beyond one of the planes first .. count need no new plane. At most `most` planes are added. Returns the
     new number of planes; -1 if a triangle passes through the center.
@@ -579,7 +579,8 @@ def prove(mesh, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share, _ = nearest(mesh, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            # Any point of the ellipsoid will do. Away from the center, no ray runs along an edge of a symmetric mesh.
+            # Any point of the ellipsoid will do. From a point away from the center, no ray runs along an edge of a
+            # symmetric mesh.
             return winds_around(mesh, plus(middle, lower(low, OFF_CENTER)))
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:
@@ -603,7 +604,7 @@ def off_inverse(G, F):
 
 @njit()
 def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memory):
-    """Write ellipsoids inside a closed mesh to `centers` and `factors`, as many as fit; return their number.
+    """Find at most as many ellipsoids inside a closed mesh as `centers` and `factors` can hold; return their number.
 
     More ellipsoids are grown than requested. The largest ellipsoid comes first.
 

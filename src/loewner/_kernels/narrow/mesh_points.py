@@ -1,8 +1,8 @@
 """Distances of many points from a mesh, winding numbers around the points, and orientations of nearby triangles.
 
 The tree is in the frame of the points. Boxes are tested in single precision, with slack for rounding. Triangles are
-tested eight at a time. Up to rounding, a returned distance is the distance of the nearest point of the triangle,
-however thin the triangle is: its error is a few roundoffs of the coordinates (certified.md B44).
+tested eight at a time. The error of a returned distance is a few roundoffs of the coordinates, however thin the nearest
+triangle is (certified.md B44).
 """
 
 import numpy as np
@@ -51,7 +51,7 @@ def heights_above(planes, points, enough, heights):
         The x of n normals (n is a multiple of eight), then their y, their z, and the offsets of the planes.
     points : ndarray, shape (m, 3)
     enough : ndarray, shape (m,)
-        Height above one plane from which the other planes no longer count.
+        Height of each point above a plane at which the search for a higher plane may end.
     heights : ndarray, shape (m,)
         Receives the heights.
     """

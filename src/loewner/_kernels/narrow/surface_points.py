@@ -1,7 +1,8 @@
 """Points and surfaces: a surface's winding number around a point, its nearest point, and points in solids.
 
-A solid also contains everything within its surface. If nothing meets this surface, one point of each connected part of
-the other body decides, by its winding number: how often, with signs, a ray from the point crosses the surface.
+A solid also contains everything within its surface. If nothing meets this surface, the winding number of one point of
+each connected part of the other body decides. The winding number counts, with signs, how often a ray from the point
+crosses the surface.
 """
 
 import numpy as np
@@ -182,7 +183,7 @@ def _count(bits):
 
 @njit()
 def nearest_point(A, x, size, memory):
-    """Distance of a point, in world axes from the translation of A, from surface A, and the nearest point of A."""
+    """Distance from surface A to a point (in world axes, relative to A's translation), and the nearest point of A."""
     a, R = surface_of(A), rotation_of(A)
     # Boxes are compared in A's axes, which may deviate from orthonormal axes by 1e-6, and triangles in world axes.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))

@@ -1,7 +1,7 @@
 """Decide whether a surface stays apart from another piece, or from the triangles of another surface, between two poses.
 
-Proofs of motions replace a surface with convex parts. Where the parts meet although the triangles do not, this walk
-through the trees of triangles finds a plane for each triangle, or each pair of triangles, that comes near.
+Proofs of motions replace a surface with convex parts. Parts may meet although the triangles do not. In this case, a
+walk through the trees of triangles finds a plane for each near triangle, or for each pair of near triangles.
 """
 
 import numpy as np
@@ -27,8 +27,8 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, siz
 # halves.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
-# An entry of the stack is the number of a box, shifted by ENTRY bits, plus the number of a triangle in a leaf, or plus
-# ALL for the whole box.
+# An entry of the stack is the number of a box, shifted by ENTRY bits, plus the number of a triangle in a leaf. For the
+# whole box, ALL replaces the number of a triangle.
 ENTRY, ALL = 4, 15
 
 
@@ -147,7 +147,7 @@ def _next_pair(relations, a, b, planes, count, slack, stack, height, steps, most
 
     At the end of the walk, or after too many steps, zeros replace the leaves.
 
-    Compare `surface_walk.next_meeting`. An entry of the stack is a box or one triangle of a leaf: large triangles next
+    Compare `surface_walk.next_meeting`. An entry of the stack is a box or one triangle of a leaf. Large triangles next
     to small ones are taken one by one, because a leaf of large triangles takes up much space.
     """
     while height > 0 and steps < most:

@@ -1,8 +1,8 @@
 """The walk through trees of triangles, from leaf to leaf, and the parts that all queries about surfaces share.
 
 A walk keeps the boxes that it must still open on a stack. Each function below goes on to the next leaf and returns it
-with the height of the stack, so a query is a loop over leaves: see `surface_meets`, `surface_distance`,
-`surface_depth`, `surface_points` and `mesh_points`. All five modules use the same memory, which is declared here.
+with the height of the stack, so a query is a loop over leaves. The modules `surface_meets`, `surface_distance`,
+`surface_depth`, `surface_points` and `mesh_points` have such loops, and use the same memory, which is declared here.
 """
 
 import numpy as np

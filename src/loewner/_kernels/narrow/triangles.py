@@ -15,9 +15,9 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, scaled
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# A determinant of three differences of corners has two errors: CORNER_ERRORS times the error of a corner times products
-# of two lengths, and PRODUCT_ROUNDINGS times the product of all three lengths. A length is a sum of absolute
-# coordinates.
+# A determinant of three differences of corners has two errors. One is CORNER_ERRORS times the error of a corner times
+# products of two lengths; the other is PRODUCT_ROUNDINGS times the product of all three lengths. A length is a sum of
+# absolute coordinates.
 CORNER_ERRORS = 8.0  # certified.md B37
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B38
 _LEAST = 1e-290  # Products that underflow are less than _LEAST.
@@ -149,7 +149,7 @@ def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
     """Squared distances of an edge from eight edges, between points that are nearest up to rounding.
 
     `over_a` and `over_b` are the reciprocals of the squared lengths. The first guess is the foot of the common normal,
-    computed from products of the normal itself: for nearly parallel edges, the usual difference of squares would be
+    computed from products of the normal itself. For nearly parallel edges, the usual difference of squares would be
     noise.
     """
     r = minus(start_a, start_b)

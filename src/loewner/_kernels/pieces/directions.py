@@ -5,10 +5,10 @@ until few vertices can be the farthest along any direction of the cell. Such a c
 vertices as blocks (see `pieces.support`). A search descends a few levels and reads a few blocks, however many vertices
 the hull has.
 
-A vertex v is omitted from a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
-w beats v in the whole cell. `CLEARANCE` keeps this true in floating point, both for the corner products and for a
-direction that rounding puts into the neighbouring cell. The farthest vertex found is therefore the same as in a search
-through all vertices.
+A vertex v is omitted from a cell only if one other vertex w beats it at all four corners. Then w beats v in the whole
+cell, because (w - v)·n is linear in n. `CLEARANCE` keeps this true in floating point, both for the corner products and
+for a direction that rounding puts into the neighbouring cell. The farthest vertex found is therefore the same as in a
+search through all vertices.
 
 The map of a hull is a flat array: the leaves' blocks, then the *nodes*, with two numbers each. For a leaf, these
 numbers are its first and last+1 column; for an inner node, they are the number of its first child and -1. Nodes 0 .. 5
@@ -27,9 +27,9 @@ LEAF = 32  # A cell with at most LEAF vertices (four blocks) is not divided furt
 # Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three copies are usual.
 MOST_COPIES = 8
 
-# A cell omits a vertex only if another vertex is farther by CLEARANCE times the largest coordinate. The product of each
-# with a direction (entries at most 1) has an error of 9u. Rounding that moves a direction into a neighbouring cell, by
-# 4u in two entries, changes the difference of the products by 16u.
+# A cell omits a vertex only if another vertex is farther by CLEARANCE times the largest coordinate. The product of a
+# vertex with a direction (entries at most 1) has an error of 9u. Rounding that moves a direction into a neighbouring
+# cell, by 4u in two entries, changes the difference of the products by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 

@@ -7,7 +7,7 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Allowance for the check of eight poses at once, whose rounding differs from the check of a single pose. The
+# Allowance for the check of eight poses at a time, which rounds differently from the check of a single pose. The
 # certificate allows slightly more, so that every pose that fails also has a fault when it is checked alone. The search
 # for faults allows slightly less, so that it misses no fault.
 HAIR = 1e-9

@@ -27,8 +27,8 @@ A packed set of pieces is a tuple of twelve arrays:
 
 Every piece is the sum of a core and a ball. The core is a polytope (its vertices), a surface (triangles; its points are
 the corners of a box around it, and prove no contact), or the image c + F·C of a unit shape C (ball, cylinder, cone,
-segment, point). The radius of the ball, the rounding radius, is zero except for capsules and spheres, whose cores are a
-segment and a point, and for surfaces with a radius.
+segment, point). The radius of the ball is called the rounding radius. It is zero except for capsules (whose core is a
+segment), spheres (whose core is a point), and surfaces with a radius.
 """
 
 import numpy as np
@@ -60,7 +60,7 @@ from loewner._kernels.simd.vectors import prefetch, prefetch_far
 
 @inline
 def farthest_vertex(layout, points, piece, n):
-    """Entry of `points` at which the farthest vertex of a polytope along a direction is."""
+    """Index in `points` of a polytope's farthest vertex along a direction."""
     start, stop = layout[piece, POINTS_FROM], layout[piece, POINTS_TO]
     if layout[piece, KIND] == MAPPED:
         start, stop = candidates(points, start, 3 * stop, n[0], n[1], n[2])

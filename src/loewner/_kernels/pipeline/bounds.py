@@ -3,8 +3,8 @@
 All distances are signed: a penetration depth is a negative distance.
 
 Each stage processes the whole queue and passes its results to the next stage in memory. Keeping eight pairs in
-registers from the first stage to the last took half as long again, because each step of a stage waits for the step
-before it.
+registers from the first stage to the last took 1.5 times as long, because each step of a stage waits for the previous
+step.
 """
 
 from typing import Any, NamedTuple
@@ -401,11 +401,12 @@ def _polish_upper_bounds(count, work):
 
 @inline
 def _estimated(F_outer, F_inner, offset):
-    """Return the product of two contact functions, and the estimated distance, negative exactly for products below 1.
+    """Return the product of two contact functions, and the estimated distance: negative if the product is below 1.
 
     √F is the factor by which both ellipsoids must grow to touch. The factor assumed for the pieces is g, the geometric
-    mean of the factors of the outer and the inner ellipsoids. If the width of the pieces along the normal times g
-    equals the offset of their centers along the normal, the pieces are apart by offset (1 - 1/g).
+    mean of the factors of the outer and the inner ellipsoids. Let the offset be the distance of the centers along the
+    normal. If g times the width of the pieces along the normal equals the offset, the pieces are offset (1 - 1/g)
+    apart.
     """
     contact = F_outer * F_inner
     g = sqrt(sqrt(maximum(contact, 0.0)))
@@ -414,7 +415,7 @@ def _estimated(F_outer, F_inner, offset):
 
 @njit()
 def _take_inner(work):
-    """Replace the outer ellipsoids of a single pair, and the s of their maximum, with those of the inner ellipsoids."""
+    """For a single pair, replace the outer ellipsoids and their best s with the inner ellipsoids and their best s."""
     a, b, search = _a_of(work), _b_of(work), _search_of(work)
     for c in range(6):
         _swap_halves(a.shape, c * QUEUED)

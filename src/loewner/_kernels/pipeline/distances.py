@@ -149,7 +149,7 @@ class Measured(NamedTuple):
 
 
 class Late(NamedTuple):
-    """Queue places of the pairs that the fast searches leave open, and whether the cores certainly overlap."""
+    """Places in the queue of the pairs that the fast searches leave open, and whether their cores certainly overlap."""
 
     place: Any
     inside: Any

@@ -93,7 +93,7 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
     Parameters
     ----------
     listed : ndarray of int64, shape (room, 6)
-        Receives, in each row, the rows of two pieces and of their poses, and two triangles, by block and lane. A row
+        Receives in each row: the rows of two pieces and of their poses, then two triangles, by block and lane. A row
         with -1 for both triangles means that one piece may lie within the other.
 
     Returns

@@ -237,7 +237,7 @@ def _gap_along(A, B, shift, n, error):
 
 @njit()
 def _look_at_surface(A, B, n, margin, far, memory):
-    """Do the work of `_look` if one piece, or both, are surfaces."""
+    """Do the work of `_look` if one or both of the pieces are surfaces."""
     result, work = result_of(search_at(memory)), surfaces_at(memory)
     shift, radii = shift_between(A, B), radius(A) + radius(B)
     verdict, _ = surface_pair(A, B, margin + radii, far, work, work, 0)

@@ -10,8 +10,8 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than NEAR times a brake's duration are merged, because rounding would distort a piece that is so
-# short.
+# Times closer together than NEAR times a brake's duration are merged, because rounding would distort such a short
+# piece.
 NEAR = 1e-9
 
 # Largest number of Newton or bisection steps in the search for the time at which a distance is covered.
@@ -261,7 +261,7 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
 
 @njit()
 def brakes_on_path(rows, at, begins, strongest, jerk, beyond, times, states, counts, needed):
-    """Write brakes on a path of straight motions, one from each given time: the path's time slows down and stops.
+    """Write brakes on a path of straight motions, one brake for each start: the path's time slows down and stops.
 
     The time s of the path begins at the rate 1. On each motion, the most restrictive joint limits the second and third
     derivatives of s. Accelerations within the motion, and their rates, are therefore within the limits of all joints.

@@ -1,9 +1,9 @@
 """A smooth lower bound on a robot's distance from contact, and its gradient; gradients of the distances of pairs.
 
-The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps along the contact normals between the outer
-ellipsoids of all pairs of pieces; it is below the least gap. Eight configurations are processed side by side, and pairs
-of pieces in runs. If a run has a new least gap, the previous sum is scaled. A pair whose gap exceeds the least gap by
-more than FAR times the softness is ignored, because its term would be lost in rounding.
+The bound is a soft minimum, -softness log Σ exp(-gap/softness), of the gaps between the outer ellipsoids of all pairs
+of pieces, along their contact normals. It is less than the least gap. Eight configurations are processed side by side,
+and pairs of pieces in runs. If a run has a new least gap, the previous sum is scaled. A pair whose gap exceeds the
+least gap by more than FAR times the softness is ignored, because its term would be lost in rounding.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Decide whether configurations of a robot are free: blocks of them pass through all pairs of bodies side by side.
+"""Decide whether configurations of a robot are free; a block passes through all pairs of bodies side by side.
 
 The steps for a block, cheapest first:
 

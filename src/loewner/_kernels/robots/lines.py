@@ -1,8 +1,8 @@
 """Follow a straight line with a link, by joint motions that are proven to stay within a tolerance of the line.
 
-The chain of joints is described in `reach`. Eight configurations on the line are sought at a time, at equal steps, and
-the deviations of the eight motions that lead to them are bounded (B55 of docs/certified.md). The motions before the
-first failure are kept. The bounds also determine the next step.
+The chain of joints is described in `reach`. Eight configurations on the line are sought at a time, at equal steps. The
+deviations of the eight motions that lead to these configurations are bounded (B55 of docs/certified.md). The motions
+before the first failure are kept. The bounds also determine the next step.
 """
 
 from typing import Any, NamedTuple

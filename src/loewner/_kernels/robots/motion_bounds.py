@@ -160,7 +160,7 @@ def _arc(ends, at):
 
 @inline
 def _orientation(course, at, width):
-    """Bounds on the angular velocity and acceleration of the orientation in columns at .. at + 4, and its rounding.
+    """Bounds on the angular velocity and acceleration of the orientation in columns at .. at + 4; its rounding.
 
     The derivative of the unit quaternion p / |p| is at most p' / |p|, and p'' / |p| + 2 (p' / |p|)² bounds the turning
     part of its second derivative. Angles are twice as large. The rounding is in rad.
@@ -296,7 +296,7 @@ def write_strays(tree, off, rates, strays):
 
 @inline
 def uncertainty(tables, travel, angles, places):
-    """Largest distance [m] between a computed point of the robot and the point on the real motion.
+    """Largest distance [m] between a computed point of the robot and the same point on the real motion.
 
     Returns
     -------

@@ -4,8 +4,8 @@ A course of degree d is an array of shape (d + 1, dof), the control points of a 
 to 1. A straight motion has degree 1: its values change linearly, and its orientations turn at a constant rate. On a
 course of a higher degree, values are polynomials, and quaternions are polynomials that are scaled to norm 1.
 
-Control points bound a curve and its derivatives: a polynomial stays within the convex hull of its control points, and
-the control points of its derivative are the differences of neighbours times d.
+Control points bound a curve and its derivatives. A polynomial stays within the convex hull of its control points, and
+the control points of its derivative are d times the differences of neighbouring control points.
 """
 
 from loewner._kernels._jit import apart, inline, njit

@@ -95,8 +95,8 @@ from loewner._kernels.trees.piece_tree import open_group, reach_of
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# CLEAR_ROUNDINGS is slightly more than the distance (in rounding errors) at which `collide` may report contact, so that
-# `collide` does not report contact at any configuration of a free motion.
+# CLEAR_ROUNDINGS is slightly more than the distance (in rounding errors) at which `collide` may report contact.
+# Therefore, `collide` reports no contact at any configuration of a free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
 # An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance. The rest of the
@@ -126,8 +126,8 @@ ANSWERS, ANSWER = 64, 5
 # collide first.
 FIRST_PAIRS = 4
 
-# If the ellipsoids of two pieces are nearer to each other than DEEP times the distance at which they touch, the pieces
-# are tested immediately at their nearest configuration, because most such pieces collide.
+# Two pieces are tested immediately, at their nearest configuration, if their ellipsoids are nearer to each other than
+# DEEP times the distance at which they touch: most such pieces collide.
 DEEP = 0.7
 
 PARTS = 8  # A cut divides an interval into PARTS parts.
@@ -144,9 +144,9 @@ STACK = 4 * DEPTH  # Each cut is three halvings, and each halving leaves one par
 _POSES = 2 * (PARTS + 1)
 
 # Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
-# one step. In a block, so is each moving body, group of static bodies, pair of bodies that may be near, placed piece,
-# pair of pieces, and group of boxes over pieces. A walk through surfaces takes one step for each box, triangle or point
-# that it visits.
+# one step. In a block, each of the following is one step, too: a moving body, a group of static bodies, a pair of
+# bodies that may be near, a placed piece, a pair of pieces, and a group of boxes over pieces. A walk through surfaces
+# takes one step for each box, triangle or point that it visits.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -221,7 +221,7 @@ MEMORY = Arena(
     times=floats(LANES),  # Times of the block.
     scratch=floats(PIECE),  # A piece relative to another body.
     box=floats(6),  # The box of a piece in a block, in the frame of another body.
-    tree_stack=integers(LEVELS * WIDE),  # Groups of a tree over pieces, and pieces, that remain to be compared.
+    tree_stack=integers(LEVELS * WIDE),  # Groups and pieces of a tree over pieces that remain to be compared.
     near_pairs=integers(PAIRS),  # The entry is 1 for pairs that may be near each other within a block.
     listed=integers(LISTED, 5),  # Piece pairs to search: pair, i, j, intervals, tested configurations.
     listed_ways=floats(LISTED * LISTED_WAYS),  # The other numbers of `Near`, and the result of `sweeps.near_piece`.
@@ -513,7 +513,7 @@ def _off(near, width):
 
 @inline
 def _needed(near, margin, width):
-    """Gap [m] along a normal, after strays are subtracted, that proves an interval in which this margin is required."""
+    """Gap [m] along a normal, less strays, that suffices to prove an interval with this margin."""
     return margin + (near.slack - near.stray) + _off(near, width) + (near.wave * width * width + near.rest)
 
 
@@ -565,7 +565,7 @@ def _open_parts(motion, near, W, times, n, directed):
 
 @njit()
 def _open_between(motion, near, low, high, n):
-    """Bits of the parts, when an interval is cut into seven, that a plane with the normal n does not prove."""
+    """Bits of the seven parts of an interval that a plane with the normal n does not prove."""
     W, times = _cut_links_of(motion), _part_times_of(motion)
     _place_between(motion, low, high, times, W)
     return _open_parts(motion, near, W, times, n, near.stray > 0.0)
@@ -890,7 +890,7 @@ def _halve_waiting(motion, count, found, tally):
 def _settled_by_triangles(motion, near, k, is_first, tally):
     """Bits of the block's intervals in which the triangles of two pieces are proven apart: all intervals, or only k.
 
-    If `is_first`, all intervals are first tried as a single one, which a further bit marks.
+    If `is_first`, all intervals are first tried as a single interval; a further bit marks this attempt.
     """
     mark = 1 << INTERVALS if is_first else 0
     if is_first and _apart_in_block(motion, near, 0, INTERVALS, 1, tally):
@@ -1283,7 +1283,7 @@ def _settle_pairs(motion, low, widest, found, tally):
             if live == 0:
                 continue
             if motion.strays:
-                # Each of the two values bounds how much nearer to each other strays can bring the two bodies.
+                # Each of the two values bounds by how much strays can bring the two bodies closer together.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])

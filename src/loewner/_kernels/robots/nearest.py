@@ -104,7 +104,7 @@ def _least_distances(a, b):
 
 @inline
 def _may_be_nearer(least, p, upper, live):
-    """Bits of the configurations at which a pair may be as near as the upper bounds."""
+    """Bits of the configurations at which the distance of a pair may be below the upper bounds."""
     cut = load_rounded(upper, 0)
     return live & ~movemask(load_rounded(least, p * S) > cut + absolute(cut) * np.float32(1e-6))
 

@@ -1,9 +1,9 @@
-"""For Python and C: list the pairs of bodies to check, and make the tables that kernels take besides bodies and poses.
+"""For Python and C: list the pairs of bodies to check, and make the tables that kernels take with bodies and poses.
 
 `list_pairs` applies the rules of a scene. `lay_out` divides memory into the arrays of `records.Problem` and
-`records.MotionTables`. `lay_out` also writes the entries that depend neither on poses of static bodies nor on values of
-joints: paths and lengths of links, balls about moving bodies, groups of pairs, and the order in which proofs of motions
-take the pairs.
+`records.MotionTables`. `lay_out` also writes the entries that do not depend on the poses of static bodies or the values
+of joints. These entries are paths and lengths of links, balls about moving bodies, groups of pairs, and the order in
+which proofs of motions take the pairs.
 """
 
 import math
@@ -36,8 +36,9 @@ BALL, STANDING, STANDING_ROWS, STANDING_POSES = (
 )
 PATH_START, PATH_LINK, REACHES, EXACT_ROWS, SIZES, ORDER, GROUP_START, GROUP_PAIRS, GROUPS, CHAIN = MOTION_ROWS.values()
 
-# Cosines of eighths of a turn, at which a joint's rotation is compared with an orthonormal one. The difference is a sum
-# of waves in the angle and in twice the angle, so its maximum is less than twice the largest of eight samples.
+# Cosines of eighths of a turn. At these angles, a joint's rotation is compared with an orthonormal rotation. The
+# difference is a sum of waves in the angle and in twice the angle, so its maximum is less than twice the largest of
+# eight samples.
 _DIAGONAL = math.sqrt(0.5)
 COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 
@@ -126,8 +127,8 @@ def lay_out(pack, handle, lasting, block):
     pack, handle : int
         Handles of the bodies, and of a `records.Problem` with its tree, `link`, `pairs`, `margins` and `order`.
     lasting, block : ndarray
-        Memory for the arrays that depend on no pose; and memory that begins, at its first cache line, with the tables
-        of the problem and of its `records.MotionTables`, see `standing.place_static`. Without memory, only sizes are
+        `lasting` is memory for the arrays that depend on no pose. At the first cache line of `block`, the tables of the
+        problem and of its `records.MotionTables` begin, see `standing.place_static`. Without memory, only sizes are
         computed.
 
     Returns

@@ -178,7 +178,7 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     center, half = ellipsoids.outer, _half_widths(ellipsoids)
     wide = (OFF * ellipsoids.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
-        # This box around the ball's center contains the boxes of the pieces if there are few pieces, and otherwise the
+        # If there are few pieces, this box around the ball's center contains their boxes; otherwise, it contains the
         # ball.
         center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
@@ -233,7 +233,7 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
 
 @njit()
 def place_body_once(pack, problem_handle, address, counts, body, S):
-    """Place a moving body at the first configuration of a block only, in a quarter of the time of `place_body`."""
+    """Place a moving body only at a block's first configuration, in a quarter of the time that `place_body` takes."""
     pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_of(Place(address, counts))
     W, bounds, pose = to.links, to.bounds, to.poses[body * S]
     first = problem.link[body] * (12 * LANES)

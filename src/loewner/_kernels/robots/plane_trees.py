@@ -1,8 +1,9 @@
 """Trees of planes that separate all pairs of bodies along a whole motion: see docs/proof-format.md.
 
 A tree is searched depth first. A normal is fixed to one body of a pair, the lower body, and points to the other body,
-the upper body. A plane is accepted if the gaps at both ends of its interval, computed in double precision, exceed the
-bound of the format by some room for rounding. The final decision is made by the program that verifies the proof.
+the upper body. A plane is accepted if the gaps at both ends of its interval exceed the bound of the format. The gaps
+are computed in double precision, and must exceed the bound by some room for rounding. The final decision is made by the
+program that verifies the proof.
 """
 
 from typing import Any, NamedTuple
@@ -66,8 +67,8 @@ ROUNDED = 4e-5
 BEST_AXES = 3
 
 # Poses of links are stored at multiples of 1 / KEPT. At other times, poses are stored only for the middle of one
-# interval on each level: the search is depth first, so both halves of an interval are finished before another interval
-# on the same level is cut.
+# interval on each level. This suffices because the search is depth first: both halves of an interval are finished
+# before another interval on the same level is cut.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
@@ -445,7 +446,7 @@ def _axis(k):
 
 @njit()
 def rounded(n):
-    """Round a direction to integers: of several multiples, take the one that rounding turns least."""
+    """Round a direction to integers: among several multiples, choose the one that rounding turns least."""
     most = max(abs(n[0]), abs(n[1]), abs(n[2]))
     n = scaled(1.0 / max(most, 1e-300), n)
     unit = scaled(1.0 / max(np.sqrt(dot(n, n)), 1e-300), n)
@@ -631,9 +632,9 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
     room : float
         Room by which gaps must exceed the required gaps, as a share of the size of the model.
     state : ndarray, shape (pairs, 8 + 4 k)
-        For each pair, the last normal and the plane that was written last, which are kept from motion to motion; then k
-        normals to try, each preceded by the side of the body in whose frame it is. Margins may be negative; a negative
-        margin allows overlaps that are less deep.
+        For each pair: first the last normal and the plane that was written last, both kept from motion to motion; then
+        k normals to try. Each normal follows the side of the body in whose frame it is given. Margins may be negative;
+        a negative margin allows overlaps that are less deep.
     tokens : ndarray of uint8
     normals : ndarray, shape (N, 3)
         `tokens` and `normals` receive the tokens, and the normals of all planes whose token is NORMAL or higher.

@@ -1,4 +1,4 @@
-"""Inverse kinematics: configurations at which a link has a given pose, by damped Newton steps from eight seeds at once.
+"""Inverse kinematics: find configurations at which a link has a given pose, by damped Newton steps from eight seeds.
 
 The kernel takes the chain of joints from the root to the link as rows of two tables:
 

@@ -137,7 +137,7 @@ def _joint(tree, link):
     axis = 0.0, 0.0, 0.0
     if tree.kind[link] == REVOLUTE or tree.kind[link] == PLANAR:
         largest = 0.0
-        for row in range(3):  # The vectors v are rows of R axis axisᵀ, the component along the axis.
+        for row in range(3):  # The vectors v are the rows of R axis axisᵀ: the components along the axis.
             v = _three(tree.constants, link, ROTATION + 3 * row)
             if dot(v, v) > largest:
                 largest, axis = dot(v, v), v

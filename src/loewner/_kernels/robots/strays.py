@@ -39,8 +39,8 @@ def error_of_strays(ways, astray, lever, width):
 def write_strays_along(tree, tables, hot, W, strays, lever, link, fixed, piece, n, planes):
     """Write how far a piece's points move along n, to first order, if joints deviate from eight configurations.
 
-    The distance is a sum of absolute values of functions that are linear in the point, one for each joint that turns,
-    plus a rest that is the same for all points.
+    The distance is a sum of absolute values, one for each joint that turns, plus a rest that is the same for all
+    points. Each absolute value is of a function that is linear in the point.
 
     Parameters
     ----------

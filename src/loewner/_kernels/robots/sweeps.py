@@ -260,7 +260,7 @@ def near_in_world(problem, body, other, keep, to):
 
 @inline
 def _near_balls(rows, at, center, radii, keep):
-    """Bits of intervals in which a ball, its center in the rows from `at`, may come within `keep` of a static one."""
+    """Bits of intervals in which a ball (center in the rows from `at`) may come within `keep` of a static ball."""
     first, last = _load_three(rows, at), _load_three(rows, at + 1)
     way = minus(last, first)
     r = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]), 0.5 * (first[2] + last[2])
@@ -338,8 +338,8 @@ def near_piece(rows, at, radius, table, q, keep, nearer, live, out, to):
         Bits of the intervals to test.
     out, to :
         Receives, starting at entry `to`, directions from the static piece to the moving piece. The further entries
-        receive how far apart the ellipsoids may be along these directions at both ends, as shares of the distance at
-        which they touch.
+        receive how far apart the ellipsoids may be along these directions at both ends, in units of the distance at
+        which the ellipsoids touch.
     """
     center = outer_center(table, q)
     live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)

@@ -1,8 +1,8 @@
-"""Effects of wrenches on a robot's links on its joints, at eight configurations side by side.
+"""How wrenches on a robot's links act on its joints, at eight configurations side by side.
 
 A wrench is a force and its moment about the world's origin, both in world axes. A wrench is the gradient of a quantity
-with respect to the motion of a link. The gradient with respect to a value of the configuration is the power of the
-wrenches on all links that the value moves, along the twist with which it moves them. The powers of unit wrenches on one
+with respect to the motion of a link. A value of the configuration moves some links with a twist. The gradient with
+respect to the value is the power of the wrenches on these links along this twist. The powers of unit wrenches on one
 link form its Jacobian.
 
 References

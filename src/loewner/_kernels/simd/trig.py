@@ -21,8 +21,8 @@ LARGEST = 1e6
 def sine_cosine(x):
     """Sine and cosine of an angle, or of eight side by side.
 
-    The remainder after whole quarter turns, within ±π/4, is the argument of the Taylor series, which is truncated where
-    the next term is below 2^-56 of the result. NaN and infinity give NaN.
+    The argument of the Taylor series is the remainder after whole quarter turns, which is within ±π/4. The series ends
+    where the next term is below 2^-56 of the result. NaN and infinity give NaN.
 
     Parameters
     ----------

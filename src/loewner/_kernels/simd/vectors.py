@@ -6,7 +6,7 @@ x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON, so not
 loops. Comparisons yield masks, because code for vectors cannot branch.
 
 The third type is one lane of single precision, for a GPU thread. Unlike with Numba's float32, a literal combined with a
-lane is rounded to single precision, as it is with vectors. `simd.scalars` accesses memory for lanes.
+lane is rounded to single precision, as it is with vectors. `simd.scalars` reads and writes lanes in memory.
 
 Contraction is the only freedom that the compiler has, as everywhere in this package.
 """
@@ -443,7 +443,7 @@ def mask_of(typingctx, x):
 
 @intrinsic
 def masked_store(typingctx, array, at, m, code):
-    """Write a code to the consecutive bytes that are set in a mask."""
+    """Among consecutive bytes, write a code to the bytes whose bits are set in a mask."""
 
     def generate(context, builder, sig, args):
         array, at, where, code = args

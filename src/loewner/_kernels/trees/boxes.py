@@ -2,7 +2,8 @@
 
 Bodies are ordered along a space-filling curve, large bodies before small ones. The tree is then implicit: node q of a
 level has the nodes 8q .. 8q+7 of the level below, without pointers. A group of eight boxes is contiguous in memory, as
-six rows of eight numbers (lower x, y, z, upper x, y, z), so six vector comparisons compare one box with eight.
+six rows of eight numbers: lower x, y, z, then upper x, y, z. Six vector comparisons therefore compare one box with
+eight.
 
 Every rounding is outward: if the search finds boxes apart, their bodies are apart by more than the margin.
 
@@ -368,7 +369,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 
 @inline
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
-    """Write the pairs of a body with the bodies of a leaf group that are in a mask."""
+    """Write the pairs that a body forms with the bodies of a leaf group whose bits are set in a mask."""
     while mask != 0:
         lane, mask = next_lane(mask)
         other = order[leaf * WIDE + lane]

@@ -1,9 +1,9 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each part: proofs of motions use the parts.
 
-The part whose box has the most empty space is cut next, across an axis of the box, at the place that makes the boxes of
-both halves smallest. At most about five hundred items of the part determine the place. These items are sorted into bins
-along each axis, and only the items next to the best boundary are sorted one by one. The cut is halfway between the two
-items on either side of the place, for example between two walls.
+The part whose box has the most empty space is cut next. The cut is across an axis of the box, at the place that makes
+the boxes of both halves smallest. At most about five hundred items of the part determine the place. These items are
+sorted into bins along each axis, and only the items next to the best boundary are sorted one by one. The cut is halfway
+between the two items on either side of the place, for example between two walls.
 
 Corners are stored by coordinate, and all corners of a part are consecutive, so that eight are processed at a time.
 
@@ -20,8 +20,8 @@ from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowes
 from loewner._kernels.trees.triangle_tree import principal, put_range
 
 # THICKNESS is the assumed thickness of a flat part, relative to the whole. FLAT_BOX is the thickness of a flat box,
-# relative to its longest side, so that the shorter of two boxes with equal areas is chosen. FLAT_OVAL and DIGITS are
-# the thickness of a flat ellipsoid, relative to its longest side and to the coordinates.
+# relative to its longest side, so that the shorter of two boxes with equal areas is chosen. FLAT_OVAL is the thickness
+# of a flat ellipsoid relative to its longest side, and DIGITS is its thickness relative to the coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
 # Each side of a cut gets at least one in LEAST_SHARE items. With 16 instead, each cut would often leave three quarters
@@ -38,8 +38,9 @@ BINS, FEW, MANY = 128, 32, 512
 # Bound on the rounding error of rotating, and rotating back, by a matrix that is orthonormal up to a few roundings.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
-# ROUNDS is the number of rounds in the search for a small ellipsoid, and LEAST_AXIS its least semi-axis relative to the
-# box. WIDER allows for rounding, because coordinates relative to the box are off by at most 1e-7.
+# ROUNDS is the number of rounds in the search for a small ellipsoid, and LEAST_AXIS is the least semi-axis of this
+# ellipsoid, relative to the box. WIDER allows for rounding, because coordinates relative to the box are off by at most
+# 1e-7.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
 # Least factor by which the ellipsoid's shape is scaled, for parts whose points all coincide.
@@ -193,7 +194,7 @@ def _area(some, count, turn):
 
 @njit()
 def _measure(corners, n, part, thick, grown, numbers):
-    """Write the axes of a box with little area around a part, the box, and its empty space."""
+    """Find a box with little area around a part; write its axes, its corners, and its empty space."""
     first, last, width = part[0], part[1], len(corners) // n
     step = (last - first + MOST_ASKED - 1) // MOST_ASKED
     count = (last - first + step - 1) // step

@@ -1,13 +1,13 @@
 """Trees over the pieces of a body, and the walk through two trees to find piece pairs that could meet.
 
-A tree is built as in `boxes`, over the boxes of the outer ellipsoids in the body's own frame, but with explicit links:
-child c of group g is ``children[8 g + c]``, a group if not negative, otherwise ~piece. ``roots`` holds the top group of
-each body, or -1 for a body with few pieces. Such a body has no tree: all its pieces are tried.
+A tree is built as in `boxes`, over the boxes of the outer ellipsoids in the body's own frame, but with explicit links.
+Child c of group g is ``children[8 g + c]``: a group if this number is not negative, otherwise ~piece. ``roots`` holds
+the top group of each body, or -1 for a body with few pieces. Such a body has no tree: all its pieces are tried.
 
 The walk takes the pieces of a that come near the box of b, in a's frame. For each such piece, it searches b's tree, in
 b's frame, with the box of the piece's own ellipsoid in that frame. All roundings are outward. The rotation R of a pose
-need not be orthonormal to the last bit: in the frame of its own axes, a body's point y lies at RᵀR y instead of y, and
-lengths there are world lengths times at most the norm of R. `BEND` allows for both effects.
+need not be orthonormal to the last bit. In the frame of its own axes, a body's point y then lies at RᵀR y instead of y,
+and lengths are world lengths times at most the norm of R. `BEND` allows for both effects.
 """
 
 import numpy as np
@@ -222,7 +222,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
 
 @inline
 def _open(groups, children, group, numbers, box, slack, reach, steps, stack, height):
-    """Push the children of a group that come within `reach` of a box of the walk onto a stack."""
+    """Push onto a stack the children of a group that come within `reach` of a box of the walk."""
     by = numbers[slack]
     mask = within(
         groups, group,
@@ -235,7 +235,7 @@ def _open(groups, children, group, numbers, box, slack, reach, steps, stack, hei
 
 @inline
 def open_group(a, group, box, reach, stack, height):
-    """Push the children of a group that come within `reach` of a box onto a stack; return the height of the stack."""
+    """Push onto a stack the children of a group that come within `reach` of a box; return the height of the stack."""
     mask = within(a.groups, group, box[0], box[1], box[2], box[3], box[4], box[5], reach * reach)
     return _push(a.children, group, mask, stack, height)
 
@@ -270,7 +270,7 @@ def _placed_center(hot, piece, numbers, row):
 
 @njit()
 def _place(hot, piece, numbers):
-    """Store the box of a piece of a, in b's frame, in the state of the walk."""
+    """Compute the box of a piece of a in b's frame, and store it in the state of the walk."""
     for row in range(3):
         x, y, z = numbers[TURN + 3 * row], numbers[TURN + 3 * row + 1], numbers[TURN + 3 * row + 2]
         width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
@@ -282,7 +282,7 @@ def _place(hot, piece, numbers):
 
 @njit()
 def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
-    """Store a box around all of b, in a's frame, in the state of the walk."""
+    """Compute a box around all of b in a's frame, and store it in the state of the walk."""
     hot = b.hot
     root = b.roots[ib]
     c = OUTER_CENTER

@@ -1,10 +1,10 @@
 """Bounding hierarchies over the triangles of a surface: wide nodes of boxes, and leaves that are blocks of triangles.
 
-A node has sixteen boxes side by side, in six rows of single precision: their middles, then their half widths, both
-along x, y and z of the body's frame and rounded outward. Box s, counted over all nodes, leads to ``children[s]``, which
-is a node if it is not negative. A negative entry encodes a leaf, `leaf_of`, and the leaf's number of triangles,
-`size_of`. Node 0 has one box, around everything. A leaf is a block of eight triangles, in nine rows of double
-precision: x, y, z of the first, the second and the third corners. Repeats of the last triangle fill a block.
+A node has sixteen boxes side by side, in six rows of single precision: their middles, then their half widths, along x,
+y and z of the body's frame. Both are rounded outward. Box s, counted over all nodes, leads to ``children[s]``, which is
+a node if it is not negative. A negative entry encodes a leaf, `leaf_of`, and the leaf's number of triangles, `size_of`.
+Node 0 has one box, around everything. A leaf is a block of eight triangles, in nine rows of double precision: x, y, z
+of the first, the second and the third corners. Repeats of the last triangle fill a block.
 
 Each box has twenty additional rows of single precision, the diagonals: the extents of its triangles along x + y, x - y,
 -x + y and -x - y, likewise for x and z and for y and z, and along x + y + z, x + y - z and so on to -x - y - z.
@@ -12,8 +12,8 @@ Together with the box, the diagonals bound the extent along any direction. When 
 is a sum of multiples of an axis and two diagonals. The support function of a sum is at most the sum of the support
 functions.
 
-The boxes of the top node also have ellipsoids around the same triangles: nine rows of single precision, with their
-centers and the roots of their shape matrices (xx, xy, xz, yy, yz, zz), from the covariance of the corners.
+The boxes of the top node also have ellipsoids around the same triangles, computed from the covariance of the corners.
+They take nine rows of single precision: their centers, and the roots of their shape matrices (xx, xy, xz, yy, yz, zz).
 
 The tree is built from the top by the surface area heuristic.
 
@@ -283,7 +283,7 @@ def _write(boxes, at, hull, k):
 
 @njit()
 def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
-    """Write the ellipsoid of the covariance of the corners of given triangles, scaled to contain all of them."""
+    """Write the ellipsoid of the covariance of given triangles' corners, scaled to contain all the corners."""
     count = 3.0 * (last - first)
     x = y = z = 0.0
     for n in range(first, last):
