@@ -401,7 +401,6 @@ def locked(home: Path, held: int | None) -> Iterator[int | None]:
         return
     import fcntl
 
-    home.mkdir(parents=True, exist_ok=True)
     with (home / LOCK).open("wb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

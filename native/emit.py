@@ -53,6 +53,7 @@ from loewner._kernels._numba import (
     NRTContext,
     Var,
     base,
+    cgutils,
     cpu_target,
     default_manager,
     event,
@@ -111,12 +112,10 @@ def count_only_arrays() -> None:
     Otherwise, Numba generates code that unpacks every tuple and array wherever it is passed on, and LLVM removes this
     code again.
     """
-    counted = {}
 
+    @cache
     def is_counted(models, kind):
-        if kind not in counted:
-            counted[kind] = models[kind].contains_nrt_meminfo()
-        return counted[kind]
+        return models[kind].contains_nrt_meminfo()
 
     def get_meminfos(context, builder, kind, value):
         models = context._context.data_model_manager
@@ -134,12 +133,11 @@ def count_only_arrays() -> None:
 
 def list_variables_by_type() -> None:
     """Let Numba list a statement's variables without searching its numbers and names; this saves 3 % of the time."""
-    search, holders = Inst._rec_list_vars, {}
+    search = Inst._rec_list_vars
 
+    @cache
     def holds_variables(kind):
-        if kind not in holders:
-            holders[kind] = issubclass(kind, Var | Inst | list | tuple | dict)
-        return holders[kind]
+        return issubclass(kind, Var | Inst | list | tuple | dict)
 
     def _rec_list_vars(statement, value):
         if type(value) is not dict:
@@ -245,7 +243,7 @@ def _loaded(context, builder, kind, load):
         for length in reversed(lengths):
             strides.insert(0, step)
             step = builder.mul(step, length)
-        array.shape, array.strides = _tuple_of(builder, lengths), _tuple_of(builder, strides)
+        array.shape, array.strides = cgutils.pack_array(builder, lengths), cgutils.pack_array(builder, strides)
         array.itemsize = ir.Constant(SLOT, itemsize)
         array.nitems = builder.udiv(step, array.itemsize)
         array.meminfo, array.parent = array.meminfo.type(None), array.parent.type(None)
@@ -272,13 +270,6 @@ def _stored(context, builder, kind, value, store):
         store(builder.zext(value, SLOT))
     else:
         store(value)
-
-
-def _tuple_of(builder, values):
-    result = ir.Constant(ir.ArrayType(SLOT, len(values)), ir.Undefined)
-    for n, value in enumerate(values):
-        result = builder.insert_value(result, value, n)
-    return result
 
 
 # Offsets, in the description of an array's memory, on which `runtime.c` relies: the count of references, and the

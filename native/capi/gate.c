@@ -130,9 +130,8 @@ static loewner_status look(loewner_gate *gate)
     const State *state = &checker->state;
     gate->known = (size_t)state->standing;
     if (gate->room < gate->known) {
-        Known **all[] = {&gate->seen, &gate->allowed};
-        for (int k = 0; k < 2; k++)
-            TRY(enlarge(all[k], gate->known * sizeof(Known)));
+        TRY(enlarge(&gate->seen, gate->known * sizeof(Known)));
+        TRY(enlarge(&gate->allowed, gate->known * sizeof(Known)));
         gate->room = gate->known;
     }
     for (size_t k = 0; k < gate->known; k++) {

@@ -77,18 +77,13 @@ static loewner_status join(const loewner_checker *checker, State *state, Cutting
 /* Write the product of a link's constant pose and another pose as the constants of a link. */
 static void place_link(const double *constants, const double *pose, double *made)
 {
-    for (int r = 0; r < 3; r++) {
-        for (int c = 0; c < 3; c++) {
-            double entry = 0;
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 4; c++) {
+            double entry = c == 3 ? constants[TRANSLATION + r] : 0;
             for (int m = 0; m < 3; m++)
                 entry += constants[3 * r + m] * pose[4 * m + c];
-            made[3 * r + c] = entry;
+            made[c == 3 ? TRANSLATION + r : 3 * r + c] = entry;
         }
-        double shift = constants[TRANSLATION + r];
-        for (int m = 0; m < 3; m++)
-            shift += constants[3 * r + m] * pose[4 * m + 3];
-        made[TRANSLATION + r] = shift;
-    }
 }
 
 /* Write the robot's links, and then a fixed link for each attached body. */
