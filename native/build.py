@@ -104,7 +104,7 @@ EARLY = re.compile(r"-\d+\.so$")  # EARLY matches the end of the name of a file 
 
 
 class Command(NamedTuple):
-    """Name of the product, arguments of Python, variables of its environment, and the file with its output."""
+    """Name of the product, arguments for Python, environment variables, and the file with the output."""
 
     what: str
     arguments: list[str]
@@ -394,7 +394,7 @@ def folder_for(home: Path) -> Path:
 def locked(home: Path, held: int | None) -> Iterator[int | None]:
     """Let one process at a time build; other processes wait, and then find everything built.
 
-    The lock can be handed on to another process, by its number.
+    `held` is the number of a lock that another process has handed on.
     """
     if WINDOWS or held is not None:
         yield held

@@ -69,8 +69,8 @@ PREFIX = "loewner_"
 def remember_operators() -> None:
     """Let Numba find the type of an operator's result for given types once, not anew for each ``a + b``.
 
-    The search takes a sixth of the time. Other operations, such as slicing, are left alone: their search compiles
-    functions that they call, and records that these have to be linked.
+    The search takes a sixth of the time. Other operations, such as slicing, are left alone: the search for them
+    compiles functions that they call, and records that these functions have to be linked.
     """
     search, call_types = BaseFunction.get_call_type, {}
     plain = types.Number | types.Boolean | types.IntegerLiteral | vectors.Lanes
@@ -295,7 +295,7 @@ def _memory_and_array(size):
 
 
 def check_numba() -> None:
-    """Refuse a Numba whose arrays, or their memory, have a layout on which `runtime.c` and the shims do not rely."""
+    """Refuse a Numba whose arrays, or their memory, lack the layout on which `runtime.c` and the shims rely."""
     fields = tuple(default_manager.lookup(types.float64[::1])._fields)
     if fields != FIELDS:
         raise SystemExit(f"Numba {numba.__version__}: expected arrays of {FIELDS}, found {fields}")

@@ -1,9 +1,10 @@
 """Write `kernels.h`, which takes from Python everything on which Python and the C files must agree.
 
-For each kernel of ``entries.py``, the header declares a struct of its arguments. The types come from its signature, and
-the names of its parameters from its source, because importing the source would need Numba. A kernel with several
-results has a struct for its results, too. The header also has the kernels' signatures, the tables of arrays that
-kernels take by their address, and constants. The build writes the header next to the files that it makes.
+For each kernel of ``entries.py``, the header declares a struct of its arguments. The types come from the kernel's
+signature. The names of its parameters come from its source, which is parsed, because importing it would need Numba. A
+kernel with several results has a struct for its results, too. The header also has the kernels' signatures, the tables
+of arrays that kernels take by their address, and constants. The build writes the header next to the files that it
+makes.
 """
 
 import ast
@@ -140,7 +141,7 @@ def source(path: str) -> ast.Module:
 
 
 def numbers_of(path: str, **known: Any) -> dict[str, Any]:
-    """Return the constants of a file of the kernels that depend only on known constants and on earlier ones."""
+    """Return the constants of a kernel file that depend only on known constants and on earlier constants."""
     for node in source(path).body:
         if isinstance(node, ast.Assign):
             with suppress(NameError):

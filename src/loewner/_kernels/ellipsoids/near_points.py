@@ -48,7 +48,7 @@ def squared_norm(M):
 
 @inline
 def inverse(F):
-    """F⁻¹ by cofactors. The scales of F's columns do not matter, which the factors of thin ellipsoids require."""
+    """F⁻¹ by cofactors. The scales of F's columns do not matter; for thin ellipsoids, they differ widely."""
     s0 = max(abs(F[0]), abs(F[3]), abs(F[6]))
     s1 = max(abs(F[1]), abs(F[4]), abs(F[7]))
     s2 = max(abs(F[2]), abs(F[5]), abs(F[8]))
@@ -328,7 +328,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
     plane perpendicular to n. A gap of 1e-12 is therefore as well conditioned as a gap of 1.
 
     The method starts from the best of three directions: the last direction of Lin-Han, and the normals of the tangent
-    planes at the two level-surface points; both planes separate.
+    planes at the two level-surface points. Both planes separate the ellipsoids.
     """
     x, level = touch(F1, G2, r)
     if level <= 1.0:

@@ -113,7 +113,7 @@ def choose_few(count, steps, start, by_point, by_candidate, chosen):
     Returns
     -------
     int
-        Number of candidates; -1 if no candidate holds one of the points.
+        Number of candidates; -1 if there is a point that no candidate holds.
     """
     missed = np.zeros(by_candidate.shape[1], np.int64)
     for p in range(count):

@@ -14,7 +14,7 @@ SQRT2 = np.sqrt(2.0)
 
 
 class Counts(NamedTuple):
-    """Sizes of the problems of interior points: m vectors in n dimensions, and p entries of a symmetric matrix."""
+    """Sizes of interior-point problems: m vectors in n dimensions, and p entries of a symmetric matrix."""
 
     m: Any
     n: Any

@@ -171,7 +171,7 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
 
 @njit()
 def _iterate(place, A, tol, x, low, lam, careful):
-    """Run the primal-dual method once from the same start, with long steps or careful ones."""
+    """Run the primal-dual method once, from a fixed start, with long steps or careful steps."""
     m, n, work = place.counts.m, place.counts.n, _memory_of(place)
     y, h = work.y, work.h
     for i in range(m):

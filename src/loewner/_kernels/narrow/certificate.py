@@ -202,10 +202,10 @@ def _best(P, Q, r):
 def _doubt(P, Q, least, miss, s, size, unit, sure):
     """Bound on the rounding error of F = s(1-s) rᵀK⁻¹r for F near 1, times the least eigenvalue of K.
 
-    √F is a norm of r. Let ε be the error of r, from the positions and from the difference of K n and r, and λ the least
-    eigenvalue of K. Then √F changes by at most η = √(s(1-s)) ε / √λ. If the computed F differs from 1 by more than 3η +
-    2η², the exact F is on the same side of 1. This sum is at most c + 4η²/c for any small c. Here, F is computed from
-    n·r. An error of K changes F by at most the error divided by λ.
+    √F is a norm of r. Let ε be the error of r, which comes from the positions and from the difference between K n and
+    r. Let λ be the least eigenvalue of K. Then √F changes by at most η = √(s(1-s)) ε / √λ. If the computed F differs
+    from 1 by more than 3η + 2η², the exact F is on the same side of 1. This sum is at most c + 4η²/c for any small c.
+    Here, F is computed from n·r. An error of K changes F by at most the error divided by λ.
 
     Parameters
     ----------
@@ -371,8 +371,8 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         count : int
             Number of piece pairs; repeated entries fill the list up to whole vectors.
         asking : bool
-            Whether to prefetch data of later blocks. Prefetches are spread among the computations, because a burst
-            would delay these.
+            Whether to prefetch data of later blocks. Prefetches are spread among the computations, because a burst of
+            prefetches would delay them.
         hot_a, hot_b : ndarray, shape (P, HOT)
         Ta, Tb : ndarray, shape (N, 4, 4)
         moved_a, moved_b : bool

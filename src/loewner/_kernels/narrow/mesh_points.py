@@ -51,7 +51,7 @@ def heights_above(planes, points, enough, heights):
         The x of n normals (n is a multiple of eight), then their y, their z, and the offsets of the planes.
     points : ndarray, shape (m, 3)
     enough : ndarray, shape (m,)
-        Height of each point above a plane at which the search for a higher plane may end.
+        A height for each point: once the point is this far above a plane, its search may end.
     heights : ndarray, shape (m,)
         Receives the heights.
     """

@@ -303,7 +303,7 @@ def _lowest(corners, n):
 
 @inline
 def _near(one, first, last, reach):
-    """Mask of lanes in which a triangle's box comes within `reach` of the box around one of eight at two poses."""
+    """Lanes in which a triangle's box comes within `reach` of the box around one of eight triangles at two poses."""
     return (
         _near_along(one, first, last, reach, 0)
         & _near_along(one, first, last, reach, 1)

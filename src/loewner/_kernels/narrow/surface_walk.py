@@ -1,6 +1,6 @@
 """The walk through trees of triangles, from leaf to leaf, and the parts that all queries about surfaces share.
 
-A walk keeps the boxes that it must still open on a stack. Each function below goes on to the next leaf and returns it
+A walk keeps on a stack the boxes that it has yet to open. Each function below goes on to the next leaf and returns it
 with the height of the stack, so a query is a loop over leaves. The modules `surface_meets`, `surface_distance`,
 `surface_depth`, `surface_points` and `mesh_points` have such loops, and use the same memory, which is declared here.
 """
@@ -110,8 +110,8 @@ def next_in_box(tree, box, kept, far, memory, height):
 def nearing(gaps_of):
     """Make a walk through one tree from near boxes to far ones.
 
-    `gaps_of`, a function like `surface_boxes.gaps_from_box`, returns squared lower bounds on the distances of a node's
-    boxes, their middles, and their half widths.
+    `gaps_of` is a function like `surface_boxes.gaps_from_box`. For a node's boxes, it returns squared lower bounds on
+    the distances, the middles, and the half widths.
     """
 
     @inline
@@ -173,7 +173,7 @@ def next_meeting(about, a, b, memory, height):
 
 @inline
 def push_near(memory, height, gaps, t, halves, best, child, other, first):
-    """Push the boxes of a node that may be near enough on the stack, the most promising box on top.
+    """Push onto the stack the boxes of a node that may be near enough, the most promising box on top.
 
     The bounds of many large boxes are 0; the distance between middles, the length of t, still orders these boxes.
     """

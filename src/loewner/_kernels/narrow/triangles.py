@@ -209,7 +209,7 @@ def from_face(x, face):
 
 @inline
 def _to_face(x, face, least):
-    """Squared distance of a point from a face, if its foot lies inside, but at most `least`; otherwise `least`."""
+    """Squared distance of a point from a face; `least` if this is smaller or if the foot lies outside."""
     inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 
@@ -250,7 +250,7 @@ def squared_distances(a, b):
 def nearest_on(corners, x):
     """Points of triangles nearest to a point: on an edge, or the foot on the plane if the foot lies inside.
 
-    However thin the triangle is, each result is a point of it, and its nearest point, up to rounding.
+    Up to rounding, each result is a point of the triangle and the nearest one, however thin the triangle is.
     """
     a, b, c = corners
     edges = minus(b, a), minus(c, b), minus(a, c)

@@ -263,7 +263,7 @@ def _place(count, inner, work):
 
 @njit()
 def _find_best(count, work):
-    """Find the maxima of the contact functions, for all pairs side by side, because each step waits for the last.
+    """Find the maxima of the contact functions, for all pairs side by side: each step waits for the previous one.
 
     If two steps lead back to their start, which happens when only the last bits change, all later steps would do the
     same. Skipping the later steps therefore does not change a bit of the result.

@@ -336,7 +336,7 @@ def _of_overlap(A, B, n, faces, edges, result):
 
 @inline
 def _of_cores(A, B, lane, queue, searches):
-    """Status and distance of any other pieces: NEAREST if the distance is found; if not, OVERLAPPING or another."""
+    """Status and distance of any other pieces: NEAREST if the distance is found, otherwise another status."""
     shift, n, size = _column(queue.shift, lane), _column(queue.normal, lane), queue.size[lane]
     plain = not (_is_curved(A) or _is_curved(B))
     if plain and queue.contact[lane] < 1.0:  # The pieces probably overlap.

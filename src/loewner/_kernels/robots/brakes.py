@@ -345,7 +345,7 @@ def _blossom(p, q, r, x, y):
 
 @inline
 def _part(course, first, last, c):
-    """Control points of one value of a course between two fractions; in a quadratic, the third does not count."""
+    """Control points of one value of a course between two fractions; for quadratics, the third does not count."""
     p, q, r = course[0, c], course[1, c], course[2, c]
     if len(course) == 3:
         ahead = _blossom(p, q, r, first, last)

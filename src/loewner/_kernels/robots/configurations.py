@@ -342,7 +342,7 @@ def _place_next(query, start, stop, S, alone):
 
 @inline
 def _cull(query, start, stop, groups, S):
-    """List the pairs start .. stop of the order that the bounds leave open, without branches; return their number."""
+    """List the pairs among start .. stop of the order that bounds leave open, without branches; return their number."""
     problem, counts = problem_of(query.problem), query.counts
     bounds, live = _placement_of(query).bounds, _live_of(query.work)
     codes, masks = _codes_of(query), _masks_of(query)

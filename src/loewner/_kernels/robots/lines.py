@@ -103,7 +103,7 @@ class Wanted(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """A point of the chain at eight moving configurations, with derivatives by the fraction of the motion."""
+    """A point of the chain at eight moving configurations, with derivatives with respect to the motion's fraction."""
 
     t: Any
     turn: Any  # Angular velocity.

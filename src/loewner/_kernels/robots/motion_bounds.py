@@ -160,7 +160,7 @@ def _arc(ends, at):
 
 @inline
 def _orientation(course, at, width):
-    """Bounds on the angular velocity and acceleration of the orientation in columns at .. at + 4; its rounding.
+    """Bounds on the angular velocity, acceleration and rounding of the orientation in the columns at .. at + 4.
 
     The derivative of the unit quaternion p / |p| is at most p' / |p|, and p'' / |p| + 2 (p' / |p|)² bounds the turning
     part of its second derivative. Angles are twice as large. The rounding is in rad.
@@ -379,7 +379,7 @@ def ways_between(tables, rates, body, link, fixed):
 
 @njit()
 def course_bounds(problem_handle, tables_handle, courses, off, bounds):
-    """Bound how the points of all moving bodies move in the world on courses.
+    """Bound the motions of all moving bodies' points in the world on courses.
 
     Parameters
     ----------

@@ -633,8 +633,8 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
         Room by which gaps must exceed the required gaps, as a share of the size of the model.
     state : ndarray, shape (pairs, 8 + 4 k)
         For each pair: first the last normal and the plane that was written last, both kept from motion to motion; then
-        k normals to try. Each normal follows the side of the body in whose frame it is given. Margins may be negative;
-        a negative margin allows overlaps that are less deep.
+        k normals to try. Each normal comes after the side of the body in whose frame it is given. Margins may be
+        negative; a negative margin allows overlaps that are less deep.
     tokens : ndarray of uint8
     normals : ndarray, shape (N, 3)
         `tokens` and `normals` receive the tokens, and the normals of all planes whose token is NORMAL or higher.

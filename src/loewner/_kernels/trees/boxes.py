@@ -390,7 +390,8 @@ def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b
         Leaf groups.
     boxes, level_start : see `box_tree`
     rows_a, rows_b : ndarray of int64
-        Receive the pairs, with the smaller number in `rows_a`; at least `WIDE` times as long as `order`.
+        Receive the pairs, with the smaller number in `rows_a`. The arrays must be at least `WIDE` times as long as
+        `order`.
 
     Returns
     -------

@@ -8,9 +8,9 @@ of the first, the second and the third corners. Repeats of the last triangle fil
 
 Each box has twenty additional rows of single precision, the diagonals: the extents of its triangles along x + y, x - y,
 -x + y and -x - y, likewise for x and z and for y and z, and along x + y + z, x + y - z and so on to -x - y - z.
-Together with the box, the diagonals bound the extent along any direction. When its coordinates are sorted, a direction
-is a sum of multiples of an axis and two diagonals. The support function of a sum is at most the sum of the support
-functions.
+Together with the box, the diagonals bound the extent along any direction. Any direction is a sum of multiples of an
+axis and two diagonals; the order of its coordinates decides which. The support function of a sum is at most the sum of
+the support functions.
 
 The boxes of the top node also have ellipsoids around the same triangles, computed from the covariance of the corners.
 They take nine rows of single precision: their centers, and the roots of their shape matrices (xx, xy, xz, yy, yz, zz).
@@ -344,7 +344,7 @@ def put_range(ranges, k, first, last, number):
 def principal(xx, xy, xz, yy, yz, zz, turns):
     """Principal axes of a symmetric matrix, as the columns of nine numbers in row order, and its values along them.
 
-    The method is Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
+    The method uses Jacobi rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
     """
     A, U = turns[0], turns[1]
     A[0, 0], A[1, 1], A[2, 2] = xx, yy, zz
