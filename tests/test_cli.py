@@ -932,6 +932,18 @@ def test_plan_in_time(with_end, capsys):
     assert not Path("no.csv").exists()
 
 
+def test_a_plan_from_a_deep_contact_is_no_success(with_end, capsys):
+    """`leave` allows contact, not a wrong pose: the ball is 5 mm deep in the wall that it leaves."""
+    ask = ["plan", *ROBOT, "--scene", "end.yaml", "--start", "-0.145 0 1.57", "--goal", HERE, "--leave", "ball", "wall"]
+    status, out, _ = run(capsys, *ask)
+    assert status == 1
+    assert "deep      ball and wall overlap by 5.000 mm on motion 0, and --overlap allows 1 mm" in out
+    status, out, _ = run(capsys, *ask, "--overlap", "0.01", "--json")
+    assert (status, json.loads(out)["deep"]) == (0, [])
+    status, _, err = run(capsys, *ask, "--overlap", "-1")
+    assert (status, "--overlap: expected a finite number >= 0" in err) == (2, True), err
+
+
 @pytest.mark.parametrize("name", ["path.csv", "path.json"])
 def test_plan_writes_what_can_be_read(with_end, capsys, name):
     """To the last bit, with the columns' names, under no other name; other commands read the file."""

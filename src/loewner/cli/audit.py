@@ -74,7 +74,7 @@ def add(commands: Any) -> None:
     option, file, length, flag = inputs.adders(audit)
     trajectories.add_input(audit)
     file("--limits", help="limits of joints, which replace the URDF's (joint_limits.yaml)")
-    length("--overlap", default=output.OVERLAP, help="deepest overlap that leave: and reach: allow [m] (%(default)s)")
+    length("--overlap", default=output.OVERLAP, help=output.OVERLAP_HELP)
     present = "the robot's present state, as a state, a file or numbers: also prove the straight way to the first point"
     option("--from", dest="present", metavar="Q", help=present)
     file("-o", "--out", help="draw distances along the trajectory (.png or .svg)")
@@ -340,10 +340,7 @@ def _print_answer(answer: dict[str, Any]) -> None:
         *((one, "in this contact") for one in answer["deep"]),
         *((one, "before the first point") for one in (answer["before"] or {"deep": []})["deep"]),
     ]:
-        print(
-            f"deep      {' and '.join(one['pair'])} overlap by {-1e3 * one['nearest']:.3f} mm {where}, and "
-            f"--overlap allows {1e3 * answer['overlap']:.6g} mm; are the poses right?"
-        )
+        print(output.deep_line(one["pair"], one["nearest"], where, answer["overlap"]))
     error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
     if answer["timed"]:
         print(f"curve     {answer['controller']} between points{error}")

@@ -24,8 +24,8 @@ BEYOND = 10.0
 
 # Options of other plans that drives do not use, and options that only drives use.
 OF_OTHERS = (
-    "goal_pose", "joints", "leave", "reach", "sampled", "planner", "resolution", "improve_for", "weights", "clearance",
-    "start_time", "arrive_by", "velocity",
+    "goal_pose", "joints", "leave", "reach", "overlap", "sampled", "planner", "resolution", "improve_for", "weights",
+    "clearance", "start_time", "arrive_by", "velocity",
 )  # fmt: skip
 OF_DRIVES = ("radius", "no_reverse", "map")
 

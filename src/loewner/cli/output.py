@@ -37,6 +37,7 @@ MEASURED = 33
 
 # Largest overlap [m] of bodies in a contact that rules allow, well above tolerances and errors of poses.
 OVERLAP = 1e-3
+OVERLAP_HELP = "deepest overlap that leave: and reach: allow [m] (%(default)s)"
 
 # Width [characters] of standard output that is not a terminal, larger than any table.
 UNBROKEN = 1_000_000
@@ -224,6 +225,14 @@ def heading(answer: dict[str, Any]) -> str:
     """Return the title of a table: the robot and its numbers of pairs."""
     exempt = counted(answer["exempt_pairs"], "pair")
     return f"{answer['robot']}, {counted(answer['checked_pairs'], 'pair')} checked, {exempt} of links exempt"
+
+
+def deep_line(pair: Iterable[str], nearest: float, where: str, overlap: float) -> str:
+    """Return the line about a contact that rules allow, but that is deeper than --overlap."""
+    return (
+        f"deep      {' and '.join(pair)} overlap by {-1e3 * nearest:.3f} mm {where}, and "
+        f"--overlap allows {1e3 * overlap:.6g} mm; are the poses right?"
+    )
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 import loewner
 from loewner import Verdict, planners
-from loewner._base import _archives
+from loewner._base import _archives, _validate
 from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats
 from loewner.cli import configurations, drives, inputs, output
@@ -54,7 +54,8 @@ Every motion of the path is proven free at every one of its configurations. With
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
 
 exit status: 0 every motion proven free, 1 no path: start or goal is not free, or none was found, or one or more of
-  its motions collide (--sampled only), 2 error, 3 none collides, but one or more are ambiguous
+  its motions collide (--sampled only), or contacts that --leave and --reach allow are deeper than --overlap, 2 error,
+  3 none collides, but one or more are ambiguous
 """
 
 
@@ -89,6 +90,7 @@ def add(commands: Any) -> None:
     number("--resolution", metavar="R", help=resolution)
     flag("--no-simplify", help="do not shorten the path")
     option("--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)")
+    number("--overlap", default=output.OVERLAP, help=output.OVERLAP_HELP)
     drives.add_options(plan)
     flag("--json", help="print JSON")
 
@@ -135,7 +137,7 @@ def _plan(options: argparse.Namespace) -> int:
         planned.proof.save(options.proof)
     answer = _answer(checker, planned, seconds, options)
     output.print_answer(options, answer, lambda: _print_answer(answer))
-    return output.STATUS[answer["verdict"]]
+    return output.COLLIDING if answer["verdict"] == "FREE" and answer["deep"] else output.STATUS[answer["verdict"]]
 
 
 def _pose_goal(link: str, text: str) -> planners.PoseGoal:
@@ -163,6 +165,7 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         inputs.refuse(options, ("weights", "clearance"), of_improving)
     if options.max_iterations is not None and options.planner is not None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
+    _validate.positive_scalar(options.overlap, "--overlap", zero=True)
     inputs.expect_suffix(options.out, "--out", configurations.WRITTEN)
 
 
@@ -247,6 +250,8 @@ def _answer(
     return {
         "robot": robot.name,
         "verdict": min((motion["verdict"] for motion in motions), key=output.WORST_FIRST.index, default="FREE"),
+        "overlap": options.overlap,
+        "deep": [k for k, motion in enumerate(motions) if free[k] and motion["nearest"] < -options.overlap],
         "sampled": options.sampled,
         "joint_error": options.joint_error,
         "names": list(robot.configuration_names),
@@ -281,6 +286,8 @@ def _print_answer(answer: dict[str, Any]) -> None:
             f"nearest   {1e3 * motions[k]['nearest']:z.3f} mm, on motion {k}: the least of the exact distances at "
             f"{answer['measured']} configurations of each motion; margins are not subtracted"
         )
+    for k in answer["deep"]:
+        print(output.deep_line(motions[k]["nearest_pair"], motions[k]["nearest"], f"on motion {k}", answer["overlap"]))
     poses, searches = (sum(motion[kind] for motion in motions) for kind in ("poses", "searches"))
     print(f"length    {answer['length']:.6g}, in the units of the joints")
     if "times" in answer:
