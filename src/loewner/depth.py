@@ -16,8 +16,8 @@ from loewner.robots import CollisionChecker
 
 __all__ = ["SeenSpace", "points_of"]
 
-# A cell counts as seen only if it is nearer than the measured depths by this relative margin, which is far above the
-# rounding of a projection.
+# A cell counts as seen only if it is nearer than the measured depths by this relative margin. The margin is far larger
+# than the rounding error of a projection.
 ROUNDING = 1e-9
 
 # Memory that a call of `see` uses, in bytes per cell corner.
@@ -28,9 +28,9 @@ BYTES = 200
 class SeenSpace:
     """A grid of cells, each either unknown or seen to be empty by a depth camera.
 
-    A cell is seen if it lies completely in front of the depths measured at all pixels onto which the cell projects. All
-    other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image, or where no depth
-    was measured. Seen cells stay seen until `forget` is called.
+    A cell is seen if it is projected onto pixels with measured depths, and lies completely in front of all these
+    depths. All other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image, or
+    where no depth was measured. Seen cells stay seen until `forget` is called.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ class SeenSpace:
         GeometryError
             If no cell is left.
         InputError
-            If only one of `checker` and `q` is given, or as for `off_the_robot`.
+            If only one of `checker` and `q` is given, or for the reasons listed at `CollisionChecker.off_the_robot`.
         """
         cells, low = self.unknown, self._low
         if _validate.flag(closed, "closed"):
@@ -217,7 +217,7 @@ def _over_cells(x: Floats) -> tuple[Floats, Floats]:
 
 
 def _least_in(depths: Floats, v0: Ints, u0: Ints, v1: Ints, u1: Ints) -> Floats:
-    """Find the least depth in rectangles of pixels, ends included, from minima over windows with 2^k pixels a side."""
+    """Find the least depth in rectangles of pixels, ends included, from minima over windows of 2^k by 2^m pixels."""
     least = np.empty(len(v0))
     rows, cols = ((np.frexp(ends - starts + 1)[1] - 1).astype(np.int8) for starts, ends in ((v0, v1), (u0, u1)))
     by_rows = depths

@@ -96,7 +96,7 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
 
 class MemoryLimitError(InputError, MemoryError):
-    """A call would need more memory than is available or than the process may use; divide the call into smaller ones.
+    """A call would need more memory than is available or allowed for the process; divide the call into smaller ones.
 
     The machine, the process (``ulimit -v``, that is, RLIMIT_AS) and its container (control groups) set the limits.
     Results that are too large are refused before anything is computed, and the message states their size.

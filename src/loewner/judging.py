@@ -34,7 +34,7 @@ GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 # not balls belong to no family.
 FLAT, BALL, UNLIKE = 0, 1, -1
 
-# Corners of a regular icosahedron on the unit sphere, and slightly less than the radius of its inscribed ball.
+# Corners of a regular icosahedron on the unit sphere, and a number slightly below the radius of its inscribed ball.
 ICOSAHEDRON = np.array([np.roll([0.0, y, z], k) for y in (-1, 1) for z in (-GOLDEN, GOLDEN) for k in range(3)])
 ICOSAHEDRON /= math.sqrt(1.0 + GOLDEN**2)
 IN_ICOSAHEDRON = 0.7946
@@ -54,11 +54,11 @@ PARTS = ("colliding", "distance", "depth", "witness_a", "witness_b", "witnesses"
 # Units in which other programs give lengths, with the number of units in a metre.
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1 / 0.0254}
 
-# Another convention is named if it explains at least LEAST errors and the share EXPLAINED of all errors, and spoils few
-# right answers in return. It is tried if the share TRIED of the answers is wrong. It explains an error if at most the
-# share LEFT of the error remains. In addition, half of an answer in another unit must be wrong by more than HALVED
-# times the remaining error. Otherwise, any sufficiently large unit would explain errors where the truth is nearly zero,
-# or far below the claim.
+# Another convention is tried if at least the share TRIED of the answers is wrong. It explains an error if at most the
+# share LEFT of the error remains. It is named if it explains at least LEAST errors and the share EXPLAINED of all
+# errors, and spoils at most SPOILT right answers for each error that it explains. For another unit, half of the
+# converted answer must also be wrong by more than HALVED times the remaining error. Otherwise, any sufficiently large
+# unit would explain errors where the truth is nearly zero, or far below the claim.
 LEAST, EXPLAINED, SPOILT, TRIED, LEFT, HALVED = 3, 0.75, 0.1, 0.1, 1e-3, 10
 
 
@@ -110,8 +110,8 @@ class Convention(NamedTuple):
     about, reading : str
         Two parts of a sentence: `about` names the parts of answers, in the plural, and `reading` names the convention.
     wrong, right, spoilt : int
-        Numbers of parts: `wrong` as given; wrong as given but `right` in the convention; right as given but wrong in
-        the convention (`spoilt`).
+        Numbers of parts. `wrong` counts the parts that are wrong as given. `right` counts the parts that are wrong as
+        given but right in the convention, and `spoilt` the parts that are right as given but wrong in the convention.
     """
 
     about: str
@@ -255,7 +255,7 @@ def judge_answers(
 ) -> Judgement:
     """Judge another program's answers about pairs of bodies.
 
-    Each part of an answer is judged by itself. A part that is called wrong is proven wrong, with all rounding taken
+    Each part of an answer is judged separately. A part that is called wrong is proven wrong, with all rounding taken
     into account. Neither an answer of NaN nor a zero normal is judged.
 
     Parameters
@@ -286,8 +286,8 @@ def judge_answers(
     Raises
     ------
     PoseError, InputError
-        As for `distance`. Also if the shapes of answers do not broadcast with the poses, an answer is infinite, a depth
-        is negative, or no answer is given.
+        As for `distance`. InputError is also raised if the shapes of answers do not broadcast with the poses, an answer
+        is infinite, a depth is negative, or no answer is given.
 
     Notes
     -----
@@ -487,13 +487,14 @@ def _readings(pairs: _Pairs, said: dict[str, Floats]) -> Iterator[tuple[str, str
         yield "witnesses", f"are right in the frame{'s' * (len(whose) > 1)} of {whose}", world, False
 
 
-# Where a part is given, lower and upper bounds on its error, and the finding if the error is too large.
+# For one part of the answers: where it is given, lower and upper bounds on its error, and the finding if the error is
+# too large.
 _Error: TypeAlias = tuple[Bools, Floats, Floats, Any]
 
 
 @dataclass(frozen=True)
 class _Court:
-    """Pairs of bodies with proven bounds on their signed distances, by which answers are judged."""
+    """Pairs of bodies with proven bounds on their signed distances; the bounds are used to judge answers."""
 
     pairs: _Pairs
     lower: Floats

@@ -230,8 +230,8 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = None) -> Any:
     """Draw a robot with the shapes that should contain its links; parts of links outside their shapes are red.
 
-    Each triangle has one colour and a size of about 3 % of its link, so the picture may miss smaller holes;
-    `Robot.covered_by` proves whether there are holes.
+    The triangles are at most 3 % as large as their link, and each has one colour, so the picture may miss smaller
+    holes. `Robot.covered_by` proves whether there are holes.
 
     Parameters
     ----------
@@ -239,7 +239,8 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     model : Robot
         A robot whose links have the same names, for instance from `Robot.with_cover`.
     q : array_like, shape (dof,), optional
-        The configuration. The default is the robot's state that sets the most joints, or zero for all joints.
+        The configuration. By default, the robot's state that sets the most joints, or zero for all joints if there are
+        no states, moved into the limits.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -330,7 +331,7 @@ def _add_triangles(ax: Any, corners: Floats, colour: str, alpha: float) -> None:
 
 
 def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike = 0.0, ax: Any = None) -> Any:
-    """Draw the distances of the nearest pairs along a curve, and mark its worst moment and the parts not proven free.
+    """Draw the distances of the nearest pairs along a curve; mark the least distance and the parts not proven free.
 
     A line shows the distance between two bodies in millimetres, measured at equal steps in time; a negative distance is
     a depth. Lines are drawn for the nearest pairs, and for each pair that stopped the proof of a piece of the curve. A
@@ -351,8 +352,8 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
     Returns
     -------
     matplotlib axes
-        The axes, titled with the verdict of the whole curve. The vertical axis ends at the largest distance of the
-        nearest pair at any time.
+        The axes, titled with the verdict of the whole curve. The vertical axis ends slightly above the largest distance
+        that the nearest pair has at any time.
 
     Raises
     ------
@@ -492,10 +493,10 @@ def costs(
     Parameters
     ----------
     sizes : array_like, shape (k,)
-        Positive numbers, in the order in which lines join the points.
+        Positive numbers; lines join the points in this order.
     seconds : mapping of str to array_like, shape (k,) or ()
         Times per item in seconds, keyed by their label in the legend; NaN where a time was not measured. A single
-        number is a time that does not depend on the size, and is drawn as a dashed horizontal line.
+        number is drawn as a dashed horizontal line; it represents a time that does not depend on the size.
     size, item : str
         Names of the size and of the item, for the labels of the axes.
     ax : matplotlib axes, optional

@@ -105,10 +105,10 @@ def reproduction(
 ) -> str:
     """Write a one-page program that proves an answer wrong, using only Python's standard module ``fractions``.
 
-    The program contains the corners, the poses and the answer, as decimals that are read back without loss. The program
-    also contains a proof of each part that is wrong: a plane between the bodies, two of their points, or a surface
-    around the differences between their corners. The program prints a lower bound on the error of the answer. Include
-    the program in a report to the other program's authors.
+    The program contains the corners, the poses and the answer, as decimals that are read back without loss. For each
+    wrong part, it also contains a proof: a plane between the bodies, two of their points, or a surface whose corners
+    are differences between their corners. The program prints a lower bound on the error of the answer. Include the
+    program in a report to the other program's authors.
 
     Parameters
     ----------
@@ -119,10 +119,10 @@ def reproduction(
     colliding, distance, depth, witness_a, witness_b, normal, tolerance
         One answer, as for `judging.judge_answers`.
     engine : callable, optional
-        Called as engine(corners_a, corners_b) with arrays of shapes (n, 3). The function returns the other program's
-        answers about these hulls at the same poses, in a dict keyed by names of parts. The coordinates are rounded, and
-        corners are removed one by one, as long as the worst part remains wrong in the same way. With an engine, no
-        answer may be given as an argument.
+        Called as engine(corners_a, corners_b) with arrays of shapes (n, 3). It returns the other program's answers
+        about these hulls at the same poses, in a dict keyed by names of parts. With an engine, the bodies are
+        simplified: coordinates are rounded and corners are removed one by one, as long as the worst part remains wrong
+        in the same way. No answer may then be given as an argument.
 
     Returns
     -------
@@ -132,7 +132,8 @@ def reproduction(
     Raises
     ------
     PoseError, InputError
-        As for `judging.judge_answers`; also if a body is not a single polytope, or if nothing is proven wrong.
+        As for `judging.judge_answers`. InputError is also raised if a body is not a single polytope, or if nothing is
+        proven wrong.
 
     Examples
     --------

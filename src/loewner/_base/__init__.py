@@ -2,6 +2,6 @@
 
 Arguments: `_validate`, `_plausible`, `_rotations`, `_matrices`. Files: `_files` and `_archives`; `_json`, `_nodes`,
 `_tables` and `_xml` read text formats strictly. The machine: `_guard`, `_threads`, `_memory`, `_workspaces`, `_log`.
-Numbers with the same bits everywhere: `_elementary`, `_low_discrepancy`. Small helpers: `_kept`, `_read_only`,
-`_proportions`, `_pictures`, and `_outcomes`, the results of many meshes.
+Numbers that have the same bits on every machine: `_elementary`, `_low_discrepancy`. Small helpers: `_kept`,
+`_read_only`, `_proportions`, `_pictures`, `_outcomes`.
 """

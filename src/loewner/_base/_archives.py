@@ -1,9 +1,9 @@
 """Arrays in ``.npz`` files, written atomically and read as pure data, and single arrays in ``.npy`` files.
 
 A file is read in steps, and each step trusts only facts that earlier steps have checked. The file must be a regular
-file, and an archive with the expected members. The first bytes of each member give its type and shape, which must agree
-with the sizes that the archive states and with a limit. The numbers and their checksum are read last. The caller checks
-the meaning of the numbers.
+file, and an archive with the expected members. The first bytes of each member give its type and shape. The resulting
+size must agree with the size that the archive states, and all sizes together must not exceed a limit. The numbers and
+their checksum are read last. The caller checks the meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -28,24 +28,25 @@ from loewner.errors import FileError, InputError
 
 T = TypeVar("T")
 
-# Largest size of a file's unpacked arrays [bytes], for about a hundred million pieces; memory may set a lower limit.
+# Largest total size of a file's unpacked arrays [bytes], enough for about a hundred million pieces. The machine's
+# memory may set a lower limit.
 LARGEST_CONTENT = 2**36
 
 # Largest size of texts, such as format, digest and names [bytes].
 LARGEST_TEXT = 2**12
 
-# CHUNK is the number of bytes read at a time, and MOST_AT_ONCE limits a single read. The directory of a small archive
-# takes a kilobyte.
+# CHUNK is the number of bytes that are unpacked at a time. MOST_AT_ONCE limits a single read of the file itself. The
+# longest such read is the archive's directory, which takes about a kilobyte.
 CHUNK, MOST_AT_ONCE = 2**18, 2**20
 
-# Members of every file, besides its arrays.
+# Members that every file has in addition to its arrays.
 OWN = ("format", "version", "digest")
 
 # An array begins with MAGIC, followed by two bytes for the version. The first version byte determines how many bytes
 # hold the length of the header, which is at most LONGEST_HEADER in `.npy` files.
 MAGIC, LENGTH_BYTES, LONGEST_HEADER = b"\x93NUMPY", {1: 2, 2: 4, 3: 4}, 2**16
 
-# NumPy's header of a plain array, which is read strictly, so that nothing is evaluated.
+# NumPy's header of a plain array. NumPy evaluates such headers; here, a header must match this pattern.
 HEADER = re.compile(
     rb"\{'descr': '([<>|=][a-zA-Z]\d{1,6})', 'fortran_order': (True|False), "
     rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
@@ -65,7 +66,7 @@ class Format:
     what : str
         Description of the content for messages, such as "a body".
     else_use : str
-        Advice for other kinds of files, for messages.
+        Advice for messages about other kinds of files.
     arrays : tuple of str
         Members that hold numbers.
     integers : frozenset of str
@@ -118,7 +119,7 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
 
 
 def _save(stream: IO[bytes], content: dict[str, Any]) -> None:
-    """Write arrays as an archive; raise an interrupt itself, not zipfile's error about the unfinished entry."""
+    """Write arrays as an archive; raise an interrupt as such, not as zipfile's error about the unfinished entry."""
     try:
         np.savez_compressed(stream, **content)
     except ValueError as error:
@@ -286,7 +287,7 @@ class _Header:
 
 
 class _InSmallParts:
-    """A file that refuses large reads, since only a size stated in the file itself can cause such a request."""
+    """A file that refuses large reads, because only a false size stated in the file itself can cause them."""
 
     def __init__(self, stream: IO[bytes], what: str) -> None:
         self._stream, self._what = stream, what

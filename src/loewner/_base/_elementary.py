@@ -1,4 +1,4 @@
-"""Elementary functions of numbers and arrays, whose results have the same bits on every machine, unlike a C library's.
+"""Elementary functions of numbers and arrays. Unlike a C library's, their results have the same bits on every machine.
 
 On an array, these functions take as long as a C library's; on a single number, they take about a microsecond. The
 results are accurate to three units in the last place (`_kernels.elementary`).

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from loewner.errors import FileError
 
-# Number of bytes read at a time, since a file's stated size must not determine how much memory is allocated at once.
+# Number of bytes read at a time. A file may state a false size, which must not cause a large allocation.
 CHUNK = 1 << 24
 
-# Number of hexadecimal digits of a digest in a file's name, enough that two contents never share them by chance.
+# Number of hexadecimal digits of a digest in a file's name. Two contents do not share this many digits by chance.
 DIGITS = 16
 
 # Kinds of files other than regular ones.
@@ -81,7 +81,7 @@ def folder_exists(path: Path) -> bool:
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """Write a path for a message, escaped where a terminal could not print it."""
+    """Return a path as text for a message, escaped if a terminal could not print it."""
     name = os.fsdecode(path)
     return name if name.isprintable() else ascii(name)
 
@@ -101,17 +101,18 @@ def named_by_content(stem: str, digest: str, suffix: str) -> str:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary name for writing, and rename it to `path` when the block ends without an error.
 
-    A link stays a link: its target is written, as `open` would do.
+    If `path` is a link, the link remains and its target is replaced, as with `open`.
 
     Raises
     ------
     FileError
-        If something other than a regular file has this name (root could replace a device or a pipe by renaming), or
-        writing or renaming fails. An older file of this name stays unchanged.
+        If something other than a regular file has this name, since root could replace a device or a pipe by renaming.
+        Also if writing or renaming fails. An existing file of this name stays unchanged.
     """
     name = shown(path)
     target = _regular_or_new(Path(path), name)
-    # The caller opens this name, so that the user's file mode applies; the suffix is kept, since some writers use it.
+    # The caller opens this name, so that the user's file mode applies. The suffix is kept, since some writers choose
+    # the file's format by its suffix.
     temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
         yield temporary

@@ -1,9 +1,9 @@
 """Handle interrupts and exhausted memory, which can occur in any call regardless of its arguments.
 
 The handler of a signal may raise an exception (`KeyboardInterrupt` on Ctrl+C) while Numba converts a kernel's arrays to
-Python's. Numba continues with the next array, and Python raises two nested SystemErrors, the inner one caused by the
-KeyboardInterrupt. A caller's ``except Exception`` would swallow the interrupt. If memory runs out in NumPy, in a kernel
-or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
+Python objects. Numba continues with the next array, and Python raises two nested SystemErrors, the inner one caused by
+the KeyboardInterrupt. A caller's ``except Exception`` would swallow the interrupt. If memory runs out in NumPy, in a
+kernel or in Qhull, a raw MemoryError results. Guarded calls raise the interrupt itself, or `MemoryLimitError`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""JSON in which each key occurs once: the standard allows repeated keys, but only the last value would be read."""
+"""Read JSON, but refuse an object in which a key occurs twice: Python would silently keep only the last value."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def loads(data: str | bytes, constant: Callable[[str], Any] | None = None) -> An
 
 
 def _first_repeated(text: str) -> tuple[str, int]:
-    """Return the first repeated key in valid JSON, and its line, since the parser records no places."""
+    """Find the first repeated key in valid JSON, and its line, which the parser does not record."""
     keys: list[set[str]] = []  # for the objects and lists that are open, from the outside inwards
     last, start = "", 0
     for token in _TOKEN.finditer(text):

@@ -12,9 +12,9 @@ T = TypeVar("T")
 class kept(cached_property[T]):
     """A property that is computed when it is first needed and then kept.
 
-    `functools.cached_property` has no lock in Python 3.12 and later. Two threads that compute a property at once get
-    different values, one of which is soon freed although kernels may have received addresses in it. With this class,
-    several threads may compute a value, but all of them get the first value that was kept.
+    `functools.cached_property` has no lock in Python 3.12 and later. If two threads compute a property at the same
+    time, they get different values. One of these values is soon freed, although kernels may have received addresses in
+    it. With this class, several threads may compute the value, but all threads get the value that was stored first.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class kept(cached_property[T]):
         return value
 
     def hand_on(self, old: Any, new: Any, change: Callable[[T], T] | None = None) -> None:
-        """Give a new object the value of an old object, if already computed, after applying `change` if given."""
+        """Give a new object the value that an old object has computed, if any, after applying `change` if given."""
         if self.func.__name__ in vars(old):
             value = vars(old)[self.func.__name__]
             vars(new)[self.func.__name__] = value if change is None else change(value)

@@ -14,7 +14,7 @@ from typing import Any
 log = logging.getLogger("loewner")
 log.addHandler(logging.NullHandler())
 
-# Work on meshes with fewer triangles, and fits of fewer pieces at once, are not logged.
+# Work on meshes with fewer triangles, and calls that fit fewer pieces, are not logged.
 MANY_TRIANGLES, MANY_PIECES = 100_000, 100
 
 
@@ -37,7 +37,7 @@ class Percentage:
         self._progress, self._told = progress, 0
 
     def report(self, share: float = 0.0) -> None:
-        """Report a share of the work, at most 99 %, or the last one again, so that the callback may interrupt."""
+        """Report a share of the work, at most 99 %, or the last report again, so that the callback may interrupt."""
         self._told = max(self._told, min(99, int(100 * share)))
         self._progress(self._told, 100)
 

@@ -17,5 +17,5 @@ def strides(dimension: int) -> Floats:
 
 
 def points(count: int, dimension: int) -> Floats:
-    """Compute points of the unit cube, shape (count, dimension)."""
+    """Compute points that fill the unit cube evenly, shape (count, dimension)."""
     return np.asarray(np.modf(0.5 + np.arange(1.0, count + 1.0)[:, None] * strides(dimension))[0])

@@ -1,7 +1,7 @@
 """Products and factors of small matrices, and lengths of short vectors, with the same bits on every processor.
 
-BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether to fuse products with it, to suit the
-processor. NumPy's elementwise sums and products round every entry separately, as IEEE 754 demands. Values that two
+BLAS, LAPACK, `np.einsum` and reductions choose the order of a sum, and whether to fuse products and sums, according to
+the processor. NumPy's elementwise sums and products round every entry separately, as IEEE 754 requires. Values that two
 machines compare, such as the hash of a robot's model, are therefore computed by these functions, which add terms in a
 fixed order. Sines and logarithms are in `_elementary`.
 """
@@ -21,10 +21,11 @@ ORTHOGONAL = 2.0**-51
 # Jacobi's method takes three to six sweeps.
 MOST_SWEEPS = 16
 
-# A number that is negligible beside entries of about 1; it is added to denominators, so that no quotient is 0 / 0.
+# A number that is negligible compared with entries of about 1. It is added to denominators, so that no quotient is 0 /
+# 0.
 TINY = 1e-300
 
-# Number of matrices up to which arithmetic on arrays takes longer than on single numbers.
+# Up to this number of matrices, arithmetic on arrays takes longer than arithmetic on single numbers.
 FEW = 16
 
 # The entries of a column: numbers, or arrays with a number for each matrix.
@@ -69,7 +70,7 @@ def lengths(x: Floats) -> Floats:
 
 
 def normals_of(triangles: Floats) -> Floats:
-    """Compute normals of triangles (n, 3, 3), whose lengths are twice the areas; np.cross is slower for a few."""
+    """Compute normals, twice as long as the area, of triangles (n, 3, 3); np.cross is slower for few triangles."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -108,8 +109,8 @@ def power(x: Floats, exponent: int) -> Floats:
 def singular_values(A: Floats) -> Floats:
     """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's one-sided method.
 
-    A matrix has the same singular values alone and among other matrices, since the operations on single numbers and on
-    arrays are the same. For a few matrices, single numbers take a tenth of the time of arrays.
+    The singular values of a matrix do not depend on the other matrices in the call, since the operations on single
+    numbers and on arrays are the same. For a few matrices, single numbers take a tenth of the time of arrays.
     """
     exponent = np.frexp(np.abs(A).max(axis=(1, 2), initial=0.0))[1]
     scaled = np.ldexp(A, -exponent[:, None, None])  # exact: a diagonal matrix keeps its entries
@@ -125,7 +126,7 @@ def singular_values(A: Floats) -> Floats:
 
 
 def principal_axes(points: Floats) -> Floats:
-    """Find the directions in which points, shape (n, 3), extend from their mean, as rows, the widest first."""
+    """Find the principal axes of points, shape (n, 3), as rows, beginning with the axis of the largest extent."""
     off = points - points.mean(axis=0)
     x, y, z = np.ascontiguousarray((off / (float(np.abs(off).max()) or 1.0)).T)
     rows = [[float((a * b).sum()) for b in (x, y, z)] for a in (x, y, z)]

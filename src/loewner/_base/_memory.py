@@ -1,4 +1,4 @@
-"""How much memory a call may still use, within the limits of the machine, the process and its container.
+"""Determine how much memory a call may still use, within the limits of the machine, the process and its container.
 
 Requests that are too large are refused before any memory is allocated. On most systems, allocating more than the
 available memory succeeds, and this process or another process is killed when the memory is used.
@@ -63,7 +63,7 @@ _expected: set[str] = set()  # libraries that fitted and are loaded
 
 
 def expect_place(*names: str) -> None:
-    """Refuse to load KERNELS or SCIPY for the first time in a process if they would not fit.
+    """Refuse to load KERNELS or SCIPY for the first time in a process if they would not fit into the address space.
 
     SciPy, OpenBLAS and LLVM end the process, or leave a half-loaded module, when they run out of address space.
     """
@@ -103,7 +103,7 @@ def expect_room_for_blas(needed: int = 0) -> None:
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:
-    """Yield the address space and the private memory that `setrlimit` leaves."""
+    """Yield the address space and the private memory that are left within the limits set by `setrlimit`."""
     try:
         import resource
     except ImportError:  # this system has no such limits

@@ -21,8 +21,9 @@ from typing import Any, Self
 from loewner._base import _json, _validate
 from loewner.errors import FileError, InputError, imported
 
-# Limits on a file: the depth of nested entries and, for YAML, the number of entries, where an alias counts at each use.
-# A scene of a hundred thousand boxes has half of the allowed entries. Reading YAML takes a few seconds per megabyte.
+# Limits on a file: the depth of nested entries and, for YAML, the number of entries. An alias counts each time it is
+# used. A scene of a hundred thousand boxes has half of the allowed entries. Reading YAML takes a few seconds per
+# megabyte.
 DEEPEST = 50
 MOST_ENTRIES = 2_000_000
 
@@ -136,7 +137,7 @@ class Node(ABC):
         return type(self)(self.file, raw_key, self._above, self._name)
 
     def items(self, *lengths: int, names: str = "") -> list[Self]:
-        """Return the places of a sequence, which has one of the given lengths, or any length if none is given.
+        """Return the places of a sequence, whose length must be one of `lengths`, unless there are none.
 
         Messages show the `names` of the entries.
         """
@@ -180,7 +181,7 @@ class Node(ABC):
 
 
 def some(names: Iterable[str]) -> str:
-    """Format names for messages: a limited number of names, each shortened to a limited length."""
+    """Join names for messages: a limited number of names, each shortened to a limited length."""
     return _validate.some(map(cut, names))
 
 
@@ -364,7 +365,7 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:  # escapes and depth cause the others
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:  # escapes and depth cause others
         detail = " ".join(str(error).split())[:200]
         raise FileError(f"{file}: expected YAML, found something else ({detail})") from None
     if root is None:
@@ -376,8 +377,9 @@ def read_yaml(data: bytes, file: Path, what: str, *, merges: bool = False) -> Ya
 
 
 def _merge(top: YamlNode) -> None:
-    """Replace each key << with the entries of the mappings that it names; a mapping's own entries come first."""
-    # The parts of a node come before the node. An alias leads to its node again, even from within that node.
+    """Replace each key << with the entries of the mappings that it names; a mapping's own entries take precedence."""
+    # In `order`, the parts of a node come before the node. An alias leads to its node again, even from within that
+    # node, so `seen` lists the visited nodes.
     order, waiting, seen = [], [(top.raw, False)], set()
     while waiting:
         node, entered = waiting.pop()
@@ -428,7 +430,8 @@ def _loader() -> Any:
             node = super().compose_node(above, index)
             self.depth -= 1
             if isinstance(event, yaml.AliasEvent):
-                # A further alias within the entries of an alias counts as one entry.
+                # An alias counts as many entries as its node; within that node, whose count is not yet complete, it
+                # counts as one.
                 self.entries = before + self.entries_of.get(event.anchor, 1)
             elif event.anchor is not None:
                 self.entries_of[event.anchor] = self.entries - before

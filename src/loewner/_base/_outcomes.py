@@ -1,4 +1,4 @@
-"""The outcome for each of many mesh files, done or failed with a reason, for the command line and for clusters."""
+"""The outcome of the work on each of many mesh files, for the command line and for clusters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from loewner._base._files import shown
 from loewner._base._plausible import told_to
 from loewner.errors import LoewnerError
 
-# A small body on which options are tried, so that a bad option is reported once, and not for each of a thousand files.
+# A small body on which options are tried, so that a bad option is reported once instead of for each of a thousand
+# files.
 TETRAHEDRON = (
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),

@@ -28,9 +28,9 @@ VERDICT_NAMES = ("FREE", "COLLIDING", "AMBIGUOUS")
 # Size of a picture on the page [pixels], and its border.
 WIDTH, HEIGHT, BORDER = 400, 300, 6.0
 
-# A picture has up to two pixels for each pixel of the page, but fewer if all its triangles cover more than MOST_PIXELS.
-# If there are more than MOST_TRIANGLES triangles, only every n-th triangle of a shape is drawn, enlarged by the factor
-# ENLARGED times sqrt(n).
+# Along each axis, a picture has two pixels for each pixel of the page. It has fewer if its triangles, added up, would
+# cover more than MOST_PIXELS pixels. If there are more than MOST_TRIANGLES triangles, only every n-th triangle of a
+# shape is drawn, enlarged by the factor ENLARGED times sqrt(n).
 MOST_PIXELS, MOST_TRIANGLES, ENLARGED = 1.2e6, 40_000, 1.8
 
 # Largest PNG file [bytes]; a larger picture is drawn with half of its rows and columns.
@@ -65,7 +65,7 @@ class Shape(NamedTuple):
     Attributes
     ----------
     corners : ndarray, shape (n, 3, 3)
-        Metres.
+        In metres.
     radii : ndarray, shape (n,)
         Radii of the balls around the triangles; drawn only around triangles that are points or segments.
     colour : str
@@ -93,7 +93,7 @@ class Shape(NamedTuple):
 
 
 def escape(text: str) -> str:
-    """Write text in HTML."""
+    """Escape text for HTML."""
     import html  # imported late, since it would take a percent of the time of `import loewner`
 
     return html.escape(text)
@@ -147,7 +147,7 @@ def bodies(
     shapes.sort(key=Shape.size)
     sizes = [shape.size() for shape in shapes]
     for k in range(1, len(sizes)):
-        if sizes[k] > max(VAST, 20.0 * sizes[k - 1]):  # a half-space, beside which all other bodies would be points
+        if sizes[k] > max(VAST, 20.0 * sizes[k - 1]):  # a half-space, next to which all other bodies would be points
             shapes, note = shapes[:k], f"{note}; bodies of {sizes[k]:.0f} m are not drawn"
             break
     step = 1 + sum(len(shape.corners) for shape in shapes) // MOST_TRIANGLES
@@ -296,7 +296,7 @@ def curves(names: Sequence[str] | None, times: Floats, values: Floats) -> str:
 
 
 def verdicts(codes: Any, ends: Floats, label: str) -> str:
-    """Draw n verdicts as bars between n + 1 `ends`, lower for FREE; if n is large, a bar shows the worst of several."""
+    """Draw n verdicts as bars between n + 1 `ends`, lower for FREE; for a large n, a bar shows the worst of several."""
     starts = np.arange(0, len(codes), 1 + len(codes) // MOST_BARS)
     worst = np.maximum.reduceat(np.array([0, 2, 1])[codes], starts)  # COLLIDING is the worst
     left, wide, at = 4.0, WIDTH - 8.0, np.append(ends[starts], ends[-1])
@@ -313,7 +313,7 @@ def verdicts(codes: Any, ends: Floats, label: str) -> str:
 
 
 def shares(counts: Mapping[str, int]) -> str:
-    """Draw a bar with a part for each count; names begin with "free" or "colliding", and costly tests are opaque."""
+    """Draw a bar with a part per count; names begin with "free" or "colliding", and costlier tests are more opaque."""
     at, parts, entries = 4.0, "", []
     for name, count in counts.items():
         alike = [other for other in counts if other[:4] == name[:4]]

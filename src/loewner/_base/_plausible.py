@@ -1,7 +1,7 @@
 """Warn once about values that are allowed but usually a mistake: degrees for radians, millimetres for metres.
 
-With the chosen thresholds, a warning is almost certainly right; if a value is intended, one line of text is the only
-effect.
+With the chosen thresholds, a warning is almost certainly right. If the value is intended, the only effect is a line of
+text.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from contextlib import contextmanager
 LARGEST_RPY = 4 * math.pi
 
 # Limits [rad] in this range are probably in degrees. A joint between stops makes few turns, so that its limits in
-# radians are below the range; limits in degrees are at most two turns. Some files write a thousand or more for no
-# limit.
+# radians are below the range; limits in degrees are at most two turns. Some files write a thousand or more to mean that
+# there is no limit.
 LIMITS_IN_DEGREES = 4 * math.pi, 720.0
 
 # Velocity limits [rad/s] in this range are probably in degrees, because robot joints make less than eight turns per
@@ -36,7 +36,7 @@ LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 # A robot's mesh with a larger radius [m] is probably in millimetres.
 LARGEST_MESH_RADIUS = 25.0
 
-# Modules whose frames belong to a call of the library, including `contextlib`, which wraps functions that are contexts.
+# Modules whose frames belong to a call of the library, including `contextlib`, which wraps context managers.
 OF_THE_CALL = ("loewner", "contextlib")
 
 # A comment about units other than metres. The word "in" alone means inches only if nothing follows.

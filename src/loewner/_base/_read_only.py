@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 
 class KeepsReadOnly:
-    """A class whose attributes may be read-only arrays, or tuples of arrays, that are checked once and then trusted.
+    """A class whose attributes may be read-only arrays, or tuples of them; they are checked once and then trusted.
 
     NumPy makes arrays writeable when it copies or unpickles them. In this class, the state of an object lists its
-    read-only arrays, and an object that `copy` or `pickle` makes from the state protects these arrays again.
+    read-only arrays. When `copy` or `pickle` makes a new object from the state, these arrays become read-only again.
     """
 
     def __getstate__(self) -> tuple[dict[str, Any], list[int]]:

@@ -1,4 +1,4 @@
-"""Rotation matrices from the forms in which users and files give rotations: quaternions, and roll, pitch and yaw."""
+"""Convert rotation matrices to and from the forms that users and files use: quaternions, and roll, pitch and yaw."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from loewner._base._matrices import lengths
 from loewner._base._validate import Floats
 from loewner.errors import PoseError
 
-# Allowed deviation of a written quaternion's length from 1, so that typing three digits is enough.
+# Allowed deviation of a quaternion's length from 1. A quaternion typed with three digits is accepted.
 QUATERNION_TOLERANCE = 1e-2
 
 
@@ -64,7 +64,7 @@ def to_rpy(R: Floats) -> tuple[float, float, float]:
     """Compute roll, pitch and yaw, from which `from_rpy` restores the rotation matrix, even at gimbal lock."""
     yaw = _elementary.arctan2(R[1, 0], R[0, 0])
     s, c = _elementary.sin(yaw), _elementary.cos(yaw)
-    # Roll and pitch follow from the rotation without the yaw, which is arbitrary if the pitch is a right angle.
+    # Roll and pitch follow from the rotation with its yaw removed. If the pitch is a right angle, the yaw is arbitrary.
     roll = _elementary.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return roll, _elementary.arctan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw
 

@@ -1,4 +1,4 @@
-"""Numbers in text, separated by commas or by spaces but never by both, so that no missing number goes unnoticed."""
+"""Read and write numbers separated by commas or by spaces, but never by both, so that missing numbers are noticed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from loewner._base._validate import Floats, short
 from loewner.errors import FileError, InputError
 
-# Line ends; a comment, up to the end of its line; the spaces of an otherwise empty line; and a number.
+# Patterns: the end of a line, a comment, the spaces of a line without numbers, and the start of a line with numbers.
 LINE_END, COMMENT = re.compile(r"\r\n|\r|\n"), re.compile("#[^\r\n]*")
 BLANK, CONTENT = re.compile(r"^[ \t]+(?=#|\r?$)", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 

@@ -2,7 +2,7 @@
 
 This module has its own threads instead of Numba's, for two reasons. A parallel loop takes several times as long to
 compile as a plain loop. Numba's default threading layer aborts the process when two of a caller's threads enter it at
-once. Each calling thread also has its own setting for the number of threads.
+the same time. Each calling thread also has its own setting for the number of threads.
 
 Only the main thread is interrupted, possibly at any line, so it keeps no counts on which other threads depend.
 """
@@ -23,10 +23,10 @@ from loewner._base._validate import whole_number
 T = TypeVar("T")
 
 # A single thread takes shares of ALONE times `least` items. Larger shares would delay interrupts, which are noticed
-# between shares; smaller ones would start with cold caches more often.
+# between shares; smaller shares would start with cold caches more often.
 ALONE = 16
 
-# Target duration of a share [s]: interrupts are noticed between shares, and waiting for the last share must be short.
+# Target duration of a share [s]: interrupts are noticed between shares, and the wait for the last share must be short.
 LONG = 0.1
 
 
@@ -35,7 +35,7 @@ MOST_THREADS = 1024
 
 
 class _Setting(threading.local):
-    """The calling thread's setting, which is read without a lock, so that an interrupt cannot leave a lock closed."""
+    """The calling thread's setting, which is read without a lock, so that an interrupt cannot leave a lock held."""
 
     count: int | None = None
 
@@ -142,7 +142,7 @@ def processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Return the largest size of a share, at least `least`; each thread gets several, so that the last one is short."""
+    """Return the largest size of a share, at least `least`; each thread gets several shares, so the last is short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -156,11 +156,12 @@ def in_shares(
     most: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[T]:
-    """Return the results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
+    """Return the results of run(first, last) over shares of 0..total, in order; few items stay on the calling thread.
 
-    The calling thread also takes shares, since waiting for a thread to wake up costs as much as 1,000 pairs. Shares
-    begin with `least` items, and grow to at most `most` (see `share`) or shrink until they take about `LONG`.
-    ``progress(done, total)`` receives the count of items. When the call returns or raises, no thread is running.
+    Up to `least` items count as few. The calling thread also takes shares, since waiting for a thread to wake up costs
+    as much as 1,000 pairs. The first share has `least` items. Later shares grow to at most `most` items (see `share`),
+    or shrink, until a share takes about `LONG`. ``progress(done, total)`` receives the count of items. When the call
+    returns or raises, no thread is running.
     """
     if total <= least:
         results = [run(0, total)]

@@ -1,7 +1,7 @@
 """Validate input: turn array-likes into checked float64 arrays in C order; and define types that signatures share.
 
-Returned arrays are finite float64 in C order. Poses are not always rigid: ``poses(check=False)`` leaves the entries to
-the kernels, which read them anyway and report a bad pose.
+Returned arrays are finite float64 in C order. Only ``poses(check=False)`` does not check the entries: it leaves this to
+the kernels, which read the entries anyway and report a bad pose.
 """
 
 import math
@@ -48,7 +48,7 @@ LISTED = 30
 
 # Largest count; no array can have more entries.
 LARGEST_INTEGER = 2**63 - 1
-# Largest seed of random numbers; it has 128 bits, as for NumPy's own seeds.
+# Largest seed of random numbers; it has 128 bits, like NumPy's own seeds.
 LARGEST_SEED = 2**128 - 1
 
 # Largest number of characters of a value that a message shows.
@@ -56,7 +56,7 @@ LONGEST = 120
 # Largest number of entries of an array that the repr of a result writes out.
 FEW = 6
 
-# Depth to which nested lists are searched for quantities, the largest number of axes of NumPy's arrays.
+# Depth to which nested lists are searched for numbers with a unit. NumPy's arrays have at most this many axes.
 MOST_AXES = 64
 
 IDENTITY: Floats = np.eye(4)  # writable, since Numba would compile kernels again for the type of read-only arrays
@@ -222,7 +222,7 @@ def real(x: Any, name: str, *, least: str = "") -> float:
 
 
 def _maybe_a_number(x: Any) -> bool:
-    """Return whether `float` may be tried; not for arrays with axes or a mask, nor for other kinds of NumPy scalars."""
+    """Return whether `float` may be tried; False for arrays with axes, masked numbers, and NumPy's dates and texts."""
     if isinstance(x, (np.ndarray, np.generic)):
         return x.ndim == 0 and x.dtype.kind in "fiuO" and not np.ma.is_masked(x)
     return True
@@ -267,7 +267,7 @@ def flag(x: Any, name: str) -> bool:
 
 
 def expect_name(x: Any, wanted: str = "name: expected a name") -> str:
-    """Refuse anything except a string that is not empty; return one of NumPy's strings as one of Python's."""
+    """Refuse anything except a non-empty string, and return a NumPy string as a Python string."""
     if not isinstance(x, str) or not x:
         raise InputError(f"{wanted}, found {short(x)}")
     return str(x)
@@ -300,7 +300,7 @@ def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
 
 
 def mapping(x: Any, name: str, contents: str, least: int = 0) -> Mapping[Any, Any]:
-    """Check a mapping with at least `least` entries; None stands for an empty mapping."""
+    """Check a mapping with at least `least` entries; None means an empty mapping."""
     entries = {} if x is None else x
     if not isinstance(entries, Mapping) or len(entries) < least:
         raise InputError(f"{name}: expected a mapping {contents}, found {short(x)}")
@@ -495,7 +495,7 @@ def known(x: Any, what: str, names: Collection[str]) -> str:
 
 
 class Named(dict[str, Entry]):
-    """A dict for users, which cannot be changed; the error about an unknown name lists the known names."""
+    """A read-only dict for users; the error about an unknown name lists the known names."""
 
     def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
         super().__init__(entries)

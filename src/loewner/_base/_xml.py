@@ -90,7 +90,7 @@ class Element:
         self._asked.add(name)
 
     def fault(self, expected: str, found: str) -> NoReturn:
-        """Raise an error about this element; readers override this method to raise errors of their own."""
+        """Raise an error about this element; readers override this method to raise their own errors."""
         raise XmlError(expected, found, self.line)
 
     def disown(self, *names: str) -> None:
@@ -107,8 +107,8 @@ class Element:
         ----------
         harmless : mapping of str to set of str
             Maps the tag of an element to parts that may be ignored: tags of children, and "@" with names of attributes.
-            Nothing inside such children is reported. If a tag ends in "*", however, elements inside such children are
-            reported if their tags are in `telling` and they have children.
+            Nothing inside such a child is reported, unless its tag ends in "*" here: elements inside it are then
+            reported if their tags are in `telling` and they have children themselves.
         telling : set of str, optional
             Tags of elements.
 
@@ -161,8 +161,8 @@ def parse(
     Parameters
     ----------
     data : bytes or str
-        The contents of the file. A string has already been decoded, so that the encoding that its first line declares
-        has no effect.
+        The contents of the file. A string has already been decoded, so the encoding declared in its first line has no
+        effect.
     what : str
         The expected kind of file, with an article, for messages.
     make : callable

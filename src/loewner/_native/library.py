@@ -1,8 +1,8 @@
 """Find the native library for this machine, and check that it is intact.
 
-The library contains the kernels as machine code. The compiler that Numba uses on a user's machine makes it from the
-kernels' sources (`native/`). The library is next to this file, with a list of its files and sources. A library made
-from other sources, or altered since it was made, is not loaded.
+The library contains the kernels as machine code. It is built from the kernels' sources (`native/`) with the compiler
+that Numba uses on a user's machine. The library is next to this file, with a list of its files and a hash of the
+sources. A library that was built from other sources, or altered afterwards, is not loaded.
 
 A build in a clone provides kernels before it ends: the list names a file with the kernels built so far, and a call of
 any other kernel waits.
@@ -80,7 +80,7 @@ def extension() -> Any:
 
 
 def levels() -> tuple[str, ...]:
-    """Levels of the library that this processor supports, the best first; empty if they cannot be determined."""
+    """Return the levels of the library that this processor supports, best first; empty if they cannot be determined."""
     try:
         return tuple(_extension(_listed()).levels())
     except (_Refused, OSError, ImportError):
@@ -98,7 +98,7 @@ def shipped(name: str) -> bytes | None:
 
 
 def built_with() -> str:
-    """Version of Numba with which the library was made."""
+    """Return the version of Numba with which the library was built."""
     return str(_listed()["numba"])
 
 

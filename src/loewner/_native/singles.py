@@ -14,7 +14,8 @@ from loewner._native import entries, library
 # Names in this module of the queries about one pair of bodies.
 PAIRS = ("collide", "classify", "distance")
 
-# Kernels of these queries, in the order in which the extension takes them; for the last two, it takes their results.
+# Kernels that these queries need, in the order of the extension's arguments. The last two kernels are called first, and
+# the extension takes their results.
 NEEDED = (
     "settle_range", "distance_range", "measure_left", "first_fault", "workspace_size", "memory_of_distances",
 )  # fmt: skip
@@ -50,7 +51,7 @@ class LongWay:
 def configurations(
     pack: int, problem: int, memory: int, piece_pairs: int, plain: Any, hits: NDArray[Any], held: Any
 ) -> Any:
-    """Queries of one configuration of a robot, and of one motion (`native/configurations.c`).
+    """Make the queries about one configuration of a robot, and about one motion (`native/configurations.c`).
 
     Parameters
     ----------
@@ -68,9 +69,10 @@ def configurations(
     Returns
     -------
     object
-        With ``collide(q)``: a bool, or None. ``classify(q)``: the number of a verdict, or None. ``motion(q0, q1,
-        resolution, order)``: the number of configurations checked, negative if the last ones collide, or None;
-        order(steps) returns the fractions of the motion in the order in which they are checked.
+        An object with three methods, each of which may return None instead of an answer. ``collide(q)`` returns a bool,
+        and ``classify(q)`` the number of a verdict. ``motion(q0, q1, resolution, order)`` returns the number of
+        configurations checked, negative if the last ones collide. order(steps) returns the fractions of the motion in
+        the order in which they are checked.
     """
     call = library.extension()
     if call is None or plain is None:

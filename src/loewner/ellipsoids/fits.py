@@ -29,7 +29,8 @@ from loewner.errors import ConvergenceError, GeometryError, InputError
 
 # The paper's tolerance: volumes within a factor of e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
-# If `large_fits` did not converge, the kernel for half-spaces is tried, provided it takes a few seconds at most.
+# If `large_fits` did not converge, the kernel for m half-spaces in dimension n is tried, provided m n^4 is at most this
+# number. The kernel then takes a few seconds at most.
 MANY_FOR_KERNEL = 1e10
 # Below this tolerance, the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
@@ -43,7 +44,7 @@ HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(_validate.Brief, KeepsReadOnly):
-    """A fitted ellipsoid, with a bound on how far its volume is from the optimum.
+    """A fitted ellipsoid, with a bound on the difference between its volume and the optimal volume.
 
     Attributes
     ----------
@@ -116,11 +117,11 @@ def mvce(
 
     Notes
     -----
-    The dual is solved by an interior-point method, with an active set when there are many points. In high
-    dimension, or with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are
-    dropped. The fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to
-    0.8 GB for the interior-point method. For the paper's reduction to an inscribed ellipsoid, use `mvce_by_lifted_mvie`
-    of ``loewner.paper``.
+    The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
+    with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. The
+    fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to 0.8 GB for the
+    interior-point method. The paper reduces the problem to an inscribed ellipsoid; `mvce_by_lifted_mvie` of
+    ``loewner.paper`` does so.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
     (Titterington). That is, the weights maximise the determinant of the information matrix: the determinant's logarithm
@@ -215,7 +216,8 @@ def mvie(
     -----
     The method is due to Zhang and Gao. In high dimension, or with very many half-spaces, it works on a subset:
     half-spaces that turn out to cut the ellipsoid are added, and distant half-spaces are removed. With a given center,
-    the ellipsoid is the polar of the smallest ellipsoid around the polar points, which `mvce` finds.
+    the method of `mvce` finds the smallest ellipsoid around the polar points. The answer is the polar of that
+    ellipsoid.
 
     References
     ----------
@@ -311,7 +313,7 @@ def fit_pieces(
     Parameters
     ----------
     vert_start, face_start : ndarray of int, shape (P + 1,)
-        Piece i has the vertices ``vert_start[i]:vert_start[i+1]``; `face_start` gives its faces likewise.
+        Piece i has the vertices ``vert_start[i]:vert_start[i+1]`` and the faces ``face_start[i]:face_start[i+1]``.
     vertices : ndarray, shape (total vertices, 3)
         Vertices in metres.
     normals : ndarray, shape (total faces, 3)

@@ -31,13 +31,13 @@ LEAST_SHARE, BLOCK = 16, 512
 # rotated, float64 coordinates do not resolve its shape: four digits remain at this aspect ratio, and none at 1e-16.
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
-# With MANY_POINTS or more in 3-D, points inside the hull of a sample are left out. The sample has a fiftieth of the
-# points, but at least LEAST_SAMPLE and at most MOST_SAMPLE. The step is skipped if more than the share WORTHWHILE of
-# the sample are vertices of its hull, or if the hull has a face nearer to its middle than SHALLOW, relative to the size
-# of all points. The hull is shrunk by the share SHRINK.
+# If there are MANY_POINTS points or more in 3-D, points inside the hull of a sample are left out. The sample has a
+# fiftieth of the points, but at least LEAST_SAMPLE and at most MOST_SAMPLE. The step is skipped if more than the share
+# WORTHWHILE of the sample are vertices of its hull, or if the hull has a face nearer to its middle than SHALLOW,
+# relative to the size of all points. The hull is shrunk by the share SHRINK.
 MANY_POINTS, LEAST_SAMPLE, MOST_SAMPLE = 20_000, 1_000, 20_000
 WORTHWHILE, SHALLOW, SHRINK = 0.5, 1e-3, 1e-6
-# Number of points that a kernel examines between two checks for an interrupt, about 10 ms.
+# Number of points that a kernel examines between two checks for an interrupt, which takes about 10 ms.
 POINTS_AT_ONCE = 2**18
 # Limits on lengths, since lengths are squared and flatness is judged twelve orders of magnitude below them.
 SMALLEST, LARGEST = 1e-140, 1e140
@@ -149,8 +149,8 @@ class Polytope(KeepsReadOnly):
         if code != 0:
             raise center_error(code, rows, shift)
         _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
-        # About the polytope's analytic center, in coordinates that whiten the faces, the vertices are the facets of the
-        # dual.
+        # In coordinates about the polytope's analytic center that whiten the faces, the facets of the dual polytope
+        # correspond to the vertices.
         dual = _qhull((rows @ frame) / (bounds - rows @ x)[:, None], "A, b: no vertices found")
         equations = np.unique(dual[2], axis=0)
         return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
@@ -330,11 +330,11 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
 
     The points that are left out lie inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}. A point is left
     out if a·(y - c) is less than 1 - `shrink` for each face. The smallest a·(v - c) over a face's own vertices v is 1,
-    so no vertex is left out. By the lemma of docs/containment.md, the hull of the vertices therefore contains the point
-    in these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y -
-    c) by at most 5 u B |y| / s, where s is the least distance of a face from c. The point and the vertices both move,
-    which takes 10 of the 128 in `shrink`. The first term of `shrink` is far above the rounding of the products, which
-    is less than 20 u |y| / s.
+    so no vertex is left out. By the lemma of docs/containment.md, the hull of the vertices therefore contains the
+    omitted point in these coordinates. The coordinates are off by at most 5 u B |y| (u, B: `_kernels.fits.many`), which
+    moves a·(y - c) by at most 5 u B |y| / s, where s is the least distance of a face from c. Both the point and the
+    vertices move, which uses up 10 u of the 128 u in `shrink`. The first term of `shrink` is far above the rounding of
+    the products, which is less than 20 u |y| / s.
     """
     sample_hull = _hull_of_sample(coordinates)
     if sample_hull is None:
@@ -360,9 +360,9 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     """Return the mean of a sample hull's vertices, and the hull's face normals and distances; None if useless.
 
     The sample includes the extreme points along the axes, so that its hull is not much smaller than the hull of all
-    points. A point is as likely to lie outside the hull of a random sample as a point of the sample is to be a vertex
-    of that hull (Efron 1965, doi:10.1093/biomet/52.3-4.331). The sample therefore shows whether testing all points is
-    worthwhile.
+    points. The share of all points that lie outside the hull of a random sample nearly equals the share of the sample
+    that are vertices of this hull (Efron 1965, doi:10.1093/biomet/52.3-4.331). The sample therefore shows whether
+    testing all points is worthwhile.
     """
     m = len(coordinates)
     some = np.random.default_rng(0).integers(0, m, min(max(m // 50, LEAST_SAMPLE), MOST_SAMPLE))
@@ -371,7 +371,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     sample, unit = coordinates[chosen], np.eye(3)
     try:
         simplices, neighbors, equations = _qhull(sample, "no hull of a sample")
-    except GeometryError:  # the sample is flat to rounding; the points may not be
+    except GeometryError:  # the sample is flat to rounding; all points may not be flat
         return None
     code, _, used, face_of, normals, _ = entries.finish_hull(sample, unit, sample, simplices, neighbors, equations)
     if code != 0 or used.sum() > WORTHWHILE * len(sample):
@@ -390,7 +390,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of each data array, by the array's own `start`.
+    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of each array; each array has its own `start`.
 
     Attributes
     ----------

@@ -99,7 +99,7 @@ def _neighbours(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
 
 
 def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np.ndarray) -> tuple[Ints, Ints]:
-    """Pair the triangles around an edge so that the solid lies between the two of each pair."""
+    """Pair the triangles around an edge so that the solid lies between the two triangles of each pair."""
     start, end = triangles[of[0], corner[0]], triangles[of[0], (corner[0] + 1) % 3]
     low, high = sorted((int(start), int(end)))
     axis = vertices[high] - vertices[low]
@@ -117,7 +117,8 @@ def _paired(vertices: Floats, triangles: Ints, of: Ints, corner: Ints, forth: np
     rank = np.lexsort((~forth, place))
     depth = np.cumsum(np.where(forth[rank], -1, 1))
     rank = np.roll(rank, -(int(depth.argmin()) + 1))
-    # The part that begins first is assumed to end first; if parts overlap, every way of pairing leaves closed surfaces.
+    # The part that begins first is assumed to end first; if parts overlap, every way of pairing results in closed
+    # surfaces.
     return of[rank[~forth[rank]]], of[rank[forth[rank]]]
 
 

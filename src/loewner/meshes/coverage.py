@@ -17,8 +17,8 @@ from loewner.ellipsoids.polytopes import Polytope
 from loewner.meshes.triangles import halved, longest_edges, squared_distances
 
 # Parts that stick out of the nearest piece by more than GROWTH are cut into cells, down to CELL_SIZE; both are relative
-# to the diagonal of the mesh's box. A piece thus grows by 0.1 % of the diagonal over a face and by 0.25 % over an edge
-# that it shares with another piece.
+# to the diagonal of the mesh's box. A piece thus grows by about 0.1 % of the diagonal over a face, and by about 0.25 %
+# over an edge that it shares with another piece.
 GROWTH = 0.001
 CELL_SIZE = 0.0025
 
@@ -202,7 +202,7 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
         return 0.0
     least = np.full(len(corner), np.inf)
     for hull in hulls:
-        # A piece whose lower bound exceeds another piece's distance is not needed.
+        # A piece whose lower bound exceeds another piece's distance cannot be the nearest piece.
         near = _excess(points, hull)[corner].max(axis=1) < least
         used = np.unique(corner[near])
         distance = np.full(len(points), np.inf)

@@ -229,7 +229,7 @@ def convex_pieces(
         Seed of CoACD's search.
     progress : callable, optional
         Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is cut
-        along planes, each step stands for a hundredth of the mesh's surface.
+        along planes, each step represents a hundredth of the mesh's surface.
 
     Returns
     -------
@@ -487,9 +487,9 @@ def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -
 
 
 def _interruptible(work: Callable[[], T]) -> T:
-    """Run foreign code that may take minutes, but let an interrupt take effect at once.
+    """Run foreign code that may take minutes, but let an interrupt take effect immediately.
 
-    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and its result is
+    The code itself cannot be stopped: after an interrupt, it runs to its end on its own thread, and its result is
     discarded.
     """
     from concurrent.futures import Future  # imported late, since loading bodies does not need it

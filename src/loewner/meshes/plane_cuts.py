@@ -51,7 +51,8 @@ OVERHEAD, WORK = 1000, 8_000_000
 # Cells that stick out by less than this share of the largest bound wait until the other cells are cut.
 FARTHEST = 0.5
 
-# Largest number of rounds of cutting and joining cells, if a limit on the number of pieces leaves room for more cuts.
+# Largest number of rounds of cutting and joining cells. If the number of pieces is limited, joining cells makes room
+# for more cuts.
 PASSES = 20
 
 
@@ -156,7 +157,7 @@ def _work(cell: Cell) -> int:
 
 
 def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
-    """Make cells, with bounds on how far they stick out, and the points that stick out most."""
+    """Measure all new cells: bound how far they stick out, and find the points that stick out most."""
     new = [k for k, cell in enumerate(cells) if not np.isfinite(cell.bound)]
     if new:
         excess = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
@@ -178,7 +179,7 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     options = []
     for plane in _planes(cell, solid, plate):
         if np.ptp(dot(corners, plane[0])) < plate:
-            continue  # both halves would stick out about as far as the cell, and would be cut without end
+            continue  # both halves would stick out about as far as the cell, and would be cut endlessly
         halves = _halves(some.triangles, plane, solid, plate)
         if halves is None:
             continue
@@ -308,7 +309,7 @@ def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Ge
 def _joinable(
     cells: list[Cell], old: list[int], new: list[int], solid: Solid, tolerance: float, rng: np.random.Generator
 ) -> dict[tuple[int, int], Joined]:
-    """List the pairs with a new cell whose common hull was not found to stick out too far."""
+    """List the pairs of cells, at least one of them new, whose common hull was not found to stick out too far."""
     joins = dict[tuple[int, int], Joined]()
     within = np.array([k for k in (*old, *new) if cells[k].bound <= tolerance], dtype=np.int64)
     if len(within) == 0:

@@ -22,12 +22,13 @@ from loewner.meshes.triangles import FramedTree, cut, framed, halved, longest_ed
 # diagonal of the mesh's box.
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
-# Rounding errors of distances and heights are below these shares of the diagonal and of the largest coordinate.
+# Rounding errors of distances and heights are below ROUNDING times the diagonal plus COORDINATES times the largest
+# coordinate.
 ROUNDING = 1e-12  # certified.md B44
 COORDINATES = 1e-14
 
 # Limits on the number of cells. After WORK cells, the current bound is returned. A step examines at most AT_ONCE cells.
-# WORK_ON_NOTHING limits the search down to rounding errors if no point was found to stick out.
+# If no point was found to stick out, the first WORK_ON_NOTHING cells are examined down to rounding errors.
 WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
 # A cell is cut along the edges of the triangle in which it lies, unless the cell's edges are COARSE times as long as
@@ -162,7 +163,7 @@ class Protrusions:
     bounds : ndarray, shape (k,)
         Proven upper bound for each piece, in metres.
     found : ndarray, shape (k,)
-        Distance of each piece's farthest point found, which is a lower bound, in metres.
+        Distance of the farthest point found on each piece, in metres; a lower bound.
     points : ndarray, shape (k, 3)
         The farthest point found; NaN if nothing sticks out.
     """
@@ -203,7 +204,7 @@ def protrusions(
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
     any other cube, the bound from the distance of its center is used, or the cube is divided. If the solid is on the
     outer side of some triangle of the mesh, for instance where a cavity extends beyond its part, no cube can be ruled
-    out by the half-space that triangles face.
+    out in this way.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -249,7 +250,7 @@ def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
 
 @dataclass
 class _Search:
-    """Branch and bound over two kinds of cells of the pieces, with the values found and the bounds proven."""
+    """Branch and bound over cells, which are triangles or cubes, with the values found and the bounds proven."""
 
     hulls: list[Polytope]
     solid: Solid

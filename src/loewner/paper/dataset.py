@@ -31,7 +31,7 @@ class DataSet(_validate.Brief):
         Key of `DATA_SETS`.
     seed : int
     points_1, points_2 : ndarray, shape (pairs, 20, 3)
-        Metres; the points of the second bodies are already shifted.
+        Points in metres; the points of the second bodies are already shifted.
     shift : ndarray, shape (pairs,)
         Distance between the centers of the two balls, in metres.
 

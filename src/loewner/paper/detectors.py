@@ -1,9 +1,9 @@
 """Run the paper's four detectors, compiled, and tally their answers against the ground truth.
 
-Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
-does not generalise: near contact, it misses a quarter of the collisions of tetrahedra, nearly half of the collisions of
-thin rods, and over two thirds of the collisions of thin plates. Detector 1 is the earlier method, and serves only as
-the baseline.
+Use detector 3 (level surfaces) for the paper's estimate, since it also works well on shapes other than the paper's.
+Detector 4 (center lines) does not generalise: near contact, it misses a quarter of the collisions of tetrahedra, nearly
+half of the collisions of thin rods, and over two thirds of the collisions of thin plates. Detector 1 is the earlier
+method, and serves only as the baseline.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Confusion:
     Attributes
     ----------
     tp, fp, fn, tn : int
-        Numbers of detected collisions, false alarms, missed collisions, and free pairs found free.
+        Numbers of detected collisions (tp), false alarms (fp), missed collisions (fn), and free pairs called free (tn).
 
     Examples
     --------
@@ -243,7 +243,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     detector : {1, 2, 3, 4}
     pairs : Pairs
     angle : float
-        Tolerance of Lin and Han's method, which detector 2 uses, in radians.
+        Tolerance, in radians, of Lin and Han's method, which only detector 2 uses.
 
     Returns
     -------
@@ -289,7 +289,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
 
 def estimate(pairs: Pairs) -> Answers:
-    """Apply the library's rule, F_in F_out <= 1, to the pairs that the two exact overlap checks leave open.
+    """Apply the library's rule, F_in F_out <= 1, to the pairs that the two exact overlap checks do not decide.
 
     Parameters
     ----------

@@ -35,13 +35,13 @@ def distance_estimate(
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
         Ellipsoids in 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
-        Method of `loewner.near_points`. Detector 3 uses "rimon-boyd", detector 2 "lin-han" (to 0.01 rad), and detector
-        4 "center-line", which misses many collisions of thin pieces.
+        Method of `loewner.near_points`. Detector 2 uses "lin-han" (to 0.01 rad), and detector 3 uses "rimon-boyd".
+        Detector 4 uses "center-line", which misses many collisions of thin pieces.
 
     Returns
     -------
     ndarray, shape (...)
-        f in metres; values of at most 0 count as collisions. The values prove nothing, even where the ellipsoids settle
+        f in metres; values of at most 0 count as collisions. The values are never proofs, even if the ellipsoids settle
         a pair; use `loewner.classify` for proofs.
 
     Raises

@@ -75,7 +75,7 @@ def run(
     _validate.callback(progress, "progress")
     counts = None if json is None else _validate.path(json, "json")
     data = sample(pairs, seed, dataset)
-    # Find obstacles to writing the results before the work, not after it.
+    # Check before the work, not after it, that the results can be written.
     if counts is not None and not folder_exists(counts.parent):
         raise FileError(f"{counts}: expected a name in an existing folder, found no folder {counts.parent}")
     if counts is not None and folder_exists(counts):

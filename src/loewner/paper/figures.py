@@ -1,7 +1,7 @@
 """Draw figures 1 to 4 of the paper from the experiment's own pairs (figure 3 is a flow chart).
 
-Figures 1 and 2 are sections by a plane through the near-point line, so every marked point lies in the section. Drawing
-needs matplotlib (extra "plots").
+Figures 1 and 2 are sections along a plane that contains the near-point line, so every marked point lies in the section.
+Drawing needs matplotlib (extra "plots").
 """
 
 from __future__ import annotations
@@ -132,7 +132,8 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     earlier = kind == "heuristic"
     inner, outer = _ellipsoids(experiment, k, kind)
     line = line_of_pair(inner, outer, "rimon-boyd" if earlier else "lin-han")
-    # The plane also contains the mean offset of the centers from the line, so that both bodies are clearly visible.
+    # The plane also contains the direction from the line to the mean of the outer centers, so that both bodies are
+    # clearly visible.
     across = (outer[0].center + outer[1].center) / 2 - line.v1
     across = across - (across @ line.e) * line.e
     if np.linalg.norm(across) < 1e-9:
@@ -264,7 +265,8 @@ def _flow_chart() -> Any:
         ax.plot(*corners[:-1].T, color=GREY, lw=1.1)
         tip = {"arrowstyle": "-|>", "color": GREY, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
         ax.annotate("", corners[-1], corners[-2], arrowprops=tip)
-        # The answer is beside the first segment: to its right if it runs down, above it if it runs sideways.
+        # The answer is next to the first segment: on the right if the segment runs down, and above it if it runs
+        # sideways.
         (x, y), down = corners[:2].mean(axis=0), corners[0, 0] == corners[1, 0]
         ax.annotate(
             answer, (x, y), (5, 0) if down else (0, 4), textcoords="offset points",

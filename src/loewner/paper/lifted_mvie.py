@@ -1,6 +1,6 @@
 """Find the smallest ellipsoid around points as the largest one in a polytope with one more dimension (appendix B).
 
-The method serves as a check on `loewner.mvce`, which is faster: the lifted problem has dimension n + 1 and two
+The method is used to check `loewner.mvce`. It is slower, since the lifted problem has dimension n + 1 and two
 half-spaces per point.
 """
 

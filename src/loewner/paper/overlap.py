@@ -16,8 +16,8 @@ from loewner.ellipsoids.ellipsoid_pairs import PairArrays
 from loewner.ellipsoids.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError
 
-# An eigenvalue is accepted if the touching point that it gives is within this relative distance of E2. The eigenproblem
-# squares the axis ratio: for ratios of about 100 and more, results for some pairs are wrong.
+# An eigenvalue gives a touching point. It is accepted if this point is within this relative distance of E2. The
+# eigenproblem squares the axis ratio: for ratios of about 100 and more, results for some pairs are wrong.
 LARGEST_MISS = 1e-6
 
 
@@ -55,7 +55,7 @@ def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     """
     pair = PairArrays(E1, E2, "overlap_by_eigenvalue", dim=None)
     try:
-        with np.errstate(all="ignore"):  # after an overflow, the point is not on E2, which is an error
+        with np.errstate(all="ignore"):  # after an overflow, the point is not on E2, and an error is raised
             return _solved_by_eigenvalue(pair)
     except np.linalg.LinAlgError as error:
         raise ConvergenceError(
@@ -98,8 +98,8 @@ def _solved_by_eigenvalue(pair: PairArrays) -> NDArray[np.bool_]:
     eigenvalues = np.linalg.eigvals(block)
     lam = eigenvalues[np.arange(len(a)), np.argmin(eigenvalues.real, axis=-1)].real
 
-    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar, with the inverse from the singular values that are already computed.
-    # If this point is not on E2 (or is NaN), the eigenvalue has lost its accuracy and decides nothing.
+    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar, where the inverse is computed from the singular values above. If this
+    # point is not on E2 (or is NaN), the eigenvalue has lost its accuracy and decides nothing.
     coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
     y = np.einsum("kij,kj->ki", V, coordinates)
     miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)

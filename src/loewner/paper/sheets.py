@@ -1,7 +1,7 @@
 """Format the tables as text, at most 80 columns wide, with our numbers next to the paper's.
 
-Cells with numbers from the paper also name the table and the cells from which the numbers come. All other numbers are
-counted or measured in this run.
+Numbers from the paper are shown with the table and the cells that they come from. All other numbers are counted or
+measured in this run.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def pairs(experiment: Experiment) -> Sheet:
 
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
-    """Tabulate the confusion matrices (a) and (b) of each detector, next to the paper's, and then of the estimate."""
+    """Tabulate the confusion matrices (a) and (b) of each detector, next to the paper's, and of the estimate."""
     all_tables = tables.tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(all_tables[::2], all_tables[1::2], strict=True))
 

@@ -15,8 +15,8 @@ from loewner.paper.detectors import Confusion
 from loewner.paper.results import Experiment, Result
 
 # The paper's numbers by table; a table has the number of its detector. Part (a) is about all pairs, and part (b) about
-# ambiguous pairs. The last two numbers are the milliseconds per check that the caption gives for (a) and (b) (Pentium 4
-# at 1.8 GHz, MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
+# ambiguous pairs. The last two numbers are the milliseconds per check for (a) and (b), which are in the table's caption
+# (Pentium 4 at 1.8 GHz, MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
 PAPER = {
     1: (Confusion(375, 32, 167, 426), Confusion(50, 32, 5, 150), 100.0, 146.0),
     2: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 46.0, 75.0),
@@ -26,8 +26,8 @@ PAPER = {
 PAPER_PAIRS = PAPER[1][0].total
 PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # equal in all four tables
 
-# Classes of the data that Table 3 implies: inner ellipsoids overlap, ambiguous and colliding, ambiguous and free, outer
-# ellipsoids apart. Each class is followed by the cells from which it is computed.
+# The four exact classes of pairs: the inner ellipsoids overlap; ambiguous and colliding; ambiguous and free; the outer
+# ellipsoids are apart. CLASS_SOURCES lists the cells of Table 3 from which the paper's count of each class is computed.
 CLASSES = ("inner overlap", "ambiguous, colliding", "ambiguous, free", "outer apart")
 CLASS_SOURCES = ("(a) (1,1) - (b) (1,1)", "(b) (1,1) + (2,1)", "(b) (1,2) + (2,2)", "(a) (2,2) - (b) (2,2)")
 _ALL, _HARD = PAPER[3][:2]
@@ -94,7 +94,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """Compute Pearson's chi-square p-value for the hypothesis that two rows of counts have one distribution, or NaN."""
+    """Compute the p-value of Pearson's test that two rows of counts have one distribution; NaN for an empty row."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)
@@ -202,7 +202,7 @@ def _table(result: Result, part: int, fourth: Result) -> Table:
 
 
 def statement(p: float) -> str:
-    """State in words whether a p-value is consistent with two rows of counts having one distribution."""
+    """State in words whether two rows of counts are consistent with one distribution, given their p-value."""
     if math.isnan(p):
         return "-"
     verdict = "yes" if p >= SIGNIFICANCE else "no"

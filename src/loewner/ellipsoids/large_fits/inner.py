@@ -1,13 +1,12 @@
-"""Largest ellipsoid inside very many half-spaces, or half-spaces in high dimension: an interior-point method on a
-subset, in NumPy.
+"""Find the largest ellipsoid inside very many half-spaces, or half-spaces in high dimension, in NumPy.
 
-The method is Zhang and Gao's (2003, doi:10.1137/S1052623401397230), as in `_kernels.fits.mvie`. With the multipliers y
-and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a step solves systems with the matrix
+The interior-point method is Zhang and Gao's (2003, doi:10.1137/S1052623401397230), as in `_kernels.fits.mvie`. With the
+multipliers y and the slacks z, E² = (Aᵀ Y A)⁻¹ = L Lᵀ, T = A L and h_i = |T_i|, a step solves systems with the matrix
 
     S = diag(2 h z / y) + (T Tᵀ)∘(T Tᵀ),
 
 which has a row for each half-space and, apart from its diagonal, the low rank n (n + 1) / 2. The matrix is factorised
-directly, or by Woodbury's identity in that rank if the identity costs less.
+directly, or with Woodbury's identity if that costs less.
 
 Few half-spaces touch the ellipsoid. The interior-point method works on a subset, from which half-spaces far from the
 ellipsoid are dropped by a heuristic. A pass over all half-spaces then finds the half-spaces that cut the ellipsoid, and
@@ -42,10 +41,10 @@ FAR = 4.0
 # Half-spaces are dropped only if their share of the multipliers is less than LOSS and the gap is less than CLOSE times
 # n.
 LOSS, CLOSE = 0.1, 0.2
-# Multipliers below this share of the largest multiplier prove nothing.
+# Multipliers below this share of the largest multiplier are left out of the proof.
 NOTHING = 1e-30
-# The next round starts from a point moved towards the first center, at this share of the distance to the nearest
-# half-space.
+# The next round starts at the last center, or at a point between the first center and the last center. Along this line,
+# the start is at most this share of the way to the first boundary of a half-space.
 INSIDE = 0.9
 
 
@@ -87,7 +86,7 @@ def largest_inside(
     `center` is the analytic center and `frame` is the whitening there; both come from `entries.center_in`. The result
     holds up to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
     """
-    _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in its linear system
+    _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again for each step and for its linear system
     n = A.shape[1]
     distinct, lam = _distinct(A, b), np.zeros(len(A))
     if len(distinct) < len(A):
@@ -139,7 +138,7 @@ def largest_inside(
 
 
 def _distinct(A: Floats, b: Floats) -> Ints:
-    """Find the rows without repeats: rows are compared if their products with one vector are equal."""
+    """Find the rows that repeat no other row; rows are compared if their products with one vector are nearly equal."""
     key = A @ np.random.default_rng(0).normal(size=A.shape[1]) + b
     order = np.argsort(key, kind="stable")
     close = np.flatnonzero(np.diff(key[order]) <= 1e-12 * np.abs(key[order[1:]]))
@@ -186,7 +185,7 @@ def _ratios(R: Floats, found: _Inside) -> Floats:
 def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: Reporter) -> _Inside:
     """Find the largest ellipsoid in {x : A x <= 1}, A from `active`, given a point inside and its multipliers.
 
-    Half-spaces are dropped from `active`; the multipliers that it has at the end belong to the result.
+    Half-spaces are dropped from `active`. At the end, `active` has the multipliers of the result.
     """
     n = A.shape[1]
     index, y = active.index, active.y.copy()
@@ -200,7 +199,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
         T = A @ root.T
         h = np.sqrt(np.einsum("ij,ij->i", T, T))
         if step == 0:
-            # The largest multiple of the starting ellipsoid that is inside.
+            # Start with the largest multiple of the ellipsoid that is inside.
             shrink = float((d / h).min())
             y /= shrink * shrink
             h, T, root = h * shrink, T * shrink, root * shrink
@@ -228,7 +227,7 @@ def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: R
 
 
 def _step(A: Floats, T: Floats, d: Floats, h: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Compute the step of x, and y and z after Mehrotra's predictor and corrector; None if singular to rounding."""
+    """Compute a step of x, and new y and z, by Mehrotra's predictor and corrector; None if singular to rounding."""
     solve = _factorised(T, 2.0 * h * z / y)
     if solve is None:
         return None

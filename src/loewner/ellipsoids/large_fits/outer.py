@@ -1,12 +1,12 @@
-"""Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior-point method, in NumPy.
+"""Find the smallest ellipsoid around points in high dimension, in NumPy: coordinate ascent, then an interior point.
 
 The dual maximises log det M over weights u >= 0, Σ u = 1, with M = Σ u_i q_i q_iᵀ and q = (1, x) of length N = n + 1;
 if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere, and w = N
 wherever u > 0.
 
 - Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight to
-  the point with the largest w or from the point with the smallest w, depending on which w is farther from N, with
-  rank-one updates of M⁻¹ and w.
+  the point with the largest w or from the point with the smallest w, depending on which w is farther from N. Each step
+  updates M⁻¹ and w by a term of rank one.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
   2007, doi:10.1016/j.spl.2006.05.014), and is dropped. A less cautious bound is tried first, and all points are tested
   later.
@@ -265,7 +265,7 @@ def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int,
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
-    """Bound, with an allowance, the w below which u is zero at the optimum (Harman and Pronzato 2007), or guess it.
+    """Bound the w below which u is zero at the optimum (Harman and Pronzato 2007), with an allowance, or guess this w.
 
     The theorem assumes the worst case, that the excess of the largest w over N is due to one direction; the bold guess
     assumes an Nth of that excess. In high dimension, the guess keeps far fewer points, and is nearly always right.
@@ -313,7 +313,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
 def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
     """Solve as `_kernels.fits.mvce.solve_dual` does, with a row of the matrix for each point; return steps and gap.
 
-    Points that cannot have weight are dropped. The working set ends with the best weights seen.
+    Points that cannot have weight are dropped. At the end, the working set has the best weights of all steps.
     """
     N = active.Q.shape[1]
     index, Q = active.index, active.Q
@@ -348,7 +348,7 @@ def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> t
 
 
 def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Floats] | None:
-    """Compute weights and slacks after Mehrotra's predictor and corrector; None if singular to rounding."""
+    """Compute new weights and slacks by Mehrotra's predictor and corrector; None if singular to rounding."""
     k, N = W.shape
     matrix = W @ W.T
     matrix *= matrix
@@ -391,9 +391,9 @@ def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
 
 
 def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, threshold: float) -> Ints:
-    """Select points above `threshold` in different directions: the farthest in each sector.
+    """Select points above `threshold` in different directions: the MORE / 2 farthest points of each sector.
 
-    The sector of a point is the signed axis of the ellipsoid nearest to it.
+    There are two sectors for each axis of the ellipsoid, one in either direction; a point belongs to the nearest one.
     """
     n = points.shape[1]
     outside = np.flatnonzero(radii > threshold)

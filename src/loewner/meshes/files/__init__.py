@@ -17,8 +17,8 @@ from loewner._base._validate import Floats
 from loewner.errors import FileError
 from loewner.meshes.files.parts import Refusal, Tell, Triangles
 
-# Limit on the bytes of a mesh file, and of all files that a glTF file names. A binary STL of this size has 43 million
-# triangles, whose fit takes more memory than most machines have.
+# Limit on the size of a mesh file, and on the total size of the files that a glTF file names [bytes]. A binary STL of
+# this size has 43 million triangles, whose fit takes more memory than most machines have.
 LIMIT = 1 << 31
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")

@@ -25,10 +25,11 @@ _TOGETHER = 1 << 17
 # Number of corners about which fans are tried before a polygon is cut ear by ear.
 _TRIES = 8
 
-# Twice the area below which rounding may reverse a triangle, in a polygon of extent 1.
+# In a polygon of extent 1, rounding may reverse a triangle if twice its area is below this number.
 _ROUNDING = 1e-12
 
-# A corner this near to a line, relative to the coordinates, may lie on the line, since files have at most seven digits.
+# A corner this close to a line, relative to the coordinates, may lie on the line, since coordinates in files have at
+# most seven digits.
 _NOISE = 1e-6
 
 # A function by which readers report doubtful content; it takes a text and the place in the file.

@@ -203,7 +203,7 @@ def _binary(data: bytes, start: int, elements: list[_Element], order: str) -> li
 
 
 def _binary_element(element: _Element, data: bytes, start: int, order: str) -> tuple[_Content, int]:
-    """Read a binary element and its end; lists are assumed to be as long as in the first row until a row differs."""
+    """Read a binary element, and return where it ends; if its lists differ in length, rows are read one by one."""
     count = element.count
     if not count or not element.properties:
         return _Content({p.name: np.empty(0) for p in element.properties if p.length is None}), start

@@ -1,4 +1,4 @@
-"""Lines, numbers and comments of formats in text: split them, and report faults with their lines."""
+"""Split files in text formats into lines, numbers and comments, and report faults with their lines."""
 
 import re
 from collections.abc import Callable, Sequence
