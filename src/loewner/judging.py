@@ -561,7 +561,7 @@ class _Court:
         return is_given, least, error + rounding, Finding.WITNESSES_DO_NOT_MATCH
 
     def _of_normal(self, _: str, normal: Floats) -> _Error:
-        """Move b along its normal, into or out of contact, and bound the remaining distance or depth."""
+        """Move b along the answer's normal, into or out of contact, and bound the remaining distance or depth."""
         lower, upper = self.lower, self.upper
         scale = np.abs(normal).max(axis=-1, keepdims=True)
         unit = np.divide(normal, scale, out=np.full(normal.shape, np.nan), where=scale > 0.0)

@@ -24,7 +24,7 @@ Answers = Mapping[str, Any]
 # Numbers of decimals to which corners are rounded, in the order in which they are tried.
 DECIMALS = (1, 2, 3, 4, 6)
 
-# Limit on the number of differences between corners of two bodies that are searched.
+# Largest number of differences between corners of the two bodies from which a surface is made.
 MOST_DIFFERENCES = 1_000_000
 
 # The end of each program. Lengths are bounded by roots to 15 decimals, rounded up or down.
@@ -186,7 +186,7 @@ def _names(said: Judgement, above: Finding = Finding.NOT_GIVEN) -> str:
 def _reduced(
     corners: list[Floats], poses: list[Floats], engine: Any, tolerance: float
 ) -> tuple[list[Floats], dict[str, Any]]:
-    """Round and remove corners as long as the other program's answer stays wrong in the same way."""
+    """Round coordinates and remove corners as long as the other program's answer stays wrong in the same way."""
 
     def asked(trial: list[Floats]) -> tuple[dict[str, Any], Judgement]:
         bodies = [Body.from_points(points) for points in trial]
@@ -284,7 +284,7 @@ def _error(
 
 
 def _weights(points: Floats, T: Floats, near: Floats) -> list[float]:
-    """Return weights for which the mean of the corners is close to a point of their hull."""
+    """Return weights for which the weighted mean of the corners is close to a point of their hull."""
     from scipy.optimize import nnls
 
     x = points @ T[:3, :3].T + T[:3, 3] - near
@@ -299,7 +299,7 @@ def _surface(corners: list[Floats], poses: list[Floats], *, small: bool) -> tupl
     Returns
     -------
     corners : ndarray of int, shape (m, 2)
-        Corner of a and corner of b whose difference is a corner of the surface.
+        For each corner of the surface, the indices of the corners of a and b whose difference it is.
     triangles : ndarray of int, shape (t, 3)
         Counter-clockwise when seen from outside.
     """

@@ -1,4 +1,4 @@
-"""Arrays in ``.npz`` files, written atomically and read as pure data, and single arrays in ``.npy`` files.
+"""Write arrays to ``.npz`` files atomically, and read arrays from ``.npz`` and ``.npy`` files as pure data.
 
 A file is read in steps, and each step trusts only facts that earlier steps have checked. The file must be a regular
 file, and an archive with the expected members. The first bytes of each member give its type and shape. The resulting

@@ -31,7 +31,7 @@ def arctan2(y: Any, x: Any) -> Any:
 # Sines and cosines of angles [rad].
 sin, cos = partial(_of_each, codes.SINE_OF), partial(_of_each, codes.COSINE_OF)
 
-# Angles [rad] with given cosines and sines; NaN beyond ±1.
+# Angles [rad] from their cosines and sines; NaN for arguments beyond ±1.
 arccos, arcsin = partial(_of_each, codes.ARC_COSINE), partial(_of_each, codes.ARC_SINE)
 
 # Natural logarithms (minus infinity for zero, NaN for negative numbers) and cube roots.

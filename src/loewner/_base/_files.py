@@ -61,7 +61,7 @@ def read_regular(path: str | os.PathLike[str], what: str, limit: int) -> bytes:
         raise FileError(f"{name}: expected {what}, but there is no such file") from None
     except OSError as error:
         raise FileError(f"{name}: expected {what}, but it could not be read ({error.strerror or error})") from None
-    except ValueError:  # NUL, or a surrogate that stands for no byte
+    except ValueError:  # NUL, or a surrogate that encodes no byte
         raise FileError(f"{name}: expected {what}, found a name that no file can have") from None
     except MemoryError:
         raise FileError(f"{name}: expected {what} that fits into memory, found {status.st_size} bytes") from None
@@ -112,7 +112,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     name = shown(path)
     target = _regular_or_new(Path(path), name)
     # The caller opens this name, so that the user's file mode applies. The suffix is kept, since some writers choose
-    # the file's format by its suffix.
+    # the format by the suffix.
     temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
         yield temporary
@@ -149,7 +149,7 @@ def _regular_or_new(path: Path, name: str) -> Path:
         return Path(os.path.realpath(path))
     except FileError:
         raise
-    except ValueError:  # NUL, or a surrogate that stands for no byte
+    except ValueError:  # NUL, or a surrogate that encodes no byte
         raise FileError(f"{name}: expected the name of a file to write, found one that no file can have") from None
     except OSError as error:
         raise FileError(f"{name}: could not be written ({error.strerror or error})") from None

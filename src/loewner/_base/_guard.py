@@ -25,7 +25,7 @@ GUARDED = (SystemError, MemoryError)
 
 
 def meant(error: BaseException) -> BaseException:
-    """Return the exception that caused `error`, which is one of GUARDED, or `error` itself if nothing caused it."""
+    """Return the exception behind an error of a class in GUARDED, or the error itself if nothing caused it."""
     cause: BaseException | None = error
     while isinstance(cause, SystemError):
         cause = cause.__cause__

@@ -70,7 +70,7 @@ def lengths(x: Floats) -> Floats:
 
 
 def normals_of(triangles: Floats) -> Floats:
-    """Compute normals, twice as long as the area, of triangles (n, 3, 3); np.cross is slower for few triangles."""
+    """Compute normals of triangles (n, 3, 3), each with twice the area as its length; np.cross is slower for a few."""
     (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -110,7 +110,7 @@ def singular_values(A: Floats) -> Floats:
     """Compute the singular values of matrices, shape (N, 3, 3), largest first, by Jacobi's one-sided method.
 
     The singular values of a matrix do not depend on the other matrices in the call, since the operations on single
-    numbers and on arrays are the same. For a few matrices, single numbers take a tenth of the time of arrays.
+    numbers and on arrays are the same. For a few matrices, arithmetic on single numbers takes a tenth of the time.
     """
     exponent = np.frexp(np.abs(A).max(axis=(1, 2), initial=0.0))[1]
     scaled = np.ldexp(A, -exponent[:, None, None])  # exact: a diagonal matrix keeps its entries

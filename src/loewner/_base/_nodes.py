@@ -78,7 +78,7 @@ class Node(ABC):
     @property
     @abstractmethod
     def empty(self) -> bool:
-        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is an empty mapping, sequence or text."""
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
@@ -111,7 +111,7 @@ class Node(ABC):
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """Add the place in the file to errors about its contents."""
+        """Name the place in errors about its contents."""
         try:
             yield
         except (InputError, FileError) as error:
@@ -137,7 +137,7 @@ class Node(ABC):
         return type(self)(self.file, raw_key, self._above, self._name)
 
     def items(self, *lengths: int, names: str = "") -> list[Self]:
-        """Return the places of a sequence, whose length must be one of `lengths`, unless there are none.
+        """Return the places of a sequence; its length must be one of `lengths`, if any are given.
 
         Messages show the `names` of the entries.
         """
@@ -210,7 +210,7 @@ class JsonNode(Node):
 
     @property
     def empty(self) -> bool:
-        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is an empty mapping, sequence or text."""
         return self.raw is None or (isinstance(self.raw, (dict, list, str)) and not self.raw)
 
     def expect(self, kind: str, wanted: str) -> Any:
@@ -292,7 +292,7 @@ class YamlNode(Node):
 
     @property
     def empty(self) -> bool:
-        """Whether the place has no value, or is a mapping, a sequence or a text without contents."""
+        """Whether the place has no value, or is an empty mapping, sequence or text."""
         return not self.raw.value or self.raw.tag == "tag:yaml.org,2002:null"
 
     def expect(self, kind: str, wanted: str) -> Any:

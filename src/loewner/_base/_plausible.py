@@ -68,7 +68,7 @@ def told_to(texts: list[str]) -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Issue a warning at the line that called the library, not at the line within the library."""
+    """Issue a warning at the line that called the library, not at a line within the library."""
     if _listener.texts is not None:
         _listener.texts.append(text)
         return

@@ -80,9 +80,9 @@ def set_num_threads(n: int) -> None:
 def get_num_threads() -> int:
     """Return the number of threads that calls of this thread may use.
 
-    The number is the one that `set_num_threads` has set on this thread. If no number was set, the environment variable
-    ``LOEWNER_NUM_THREADS`` gives the number, or else ``NUMBA_NUM_THREADS`` if it is valid. Otherwise, it is the number
-    of processors that this process may use. The environment is read once, at the first call that needs the number.
+    A number that `set_num_threads` has set on this thread comes first, then the environment variable
+    ``LOEWNER_NUM_THREADS``, and then ``NUMBA_NUM_THREADS`` if it is valid. The default is the number of processors that
+    this process may use. The environment is read once, at the first call that needs the number.
 
     Returns
     -------

@@ -183,7 +183,7 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
 
 
 def _expect_each(right: Bools, array: Floats, wanted: str) -> None:
-    """Refuse an array unless all entries are right; the message gives the first other entry."""
+    """Refuse an array unless all entries are right; the message gives the first wrong entry."""
     if not right.all():
         where = tuple(np.argwhere(~right)[0].tolist())
         raise InputError(f"{wanted}, found {array[where]}{_at(where)}")

@@ -19,7 +19,8 @@ class Memory:
 class _Own(threading.local):
     def __init__(self) -> None:
         # All blocks so far, the largest last. No block is freed before the thread ends, since a signal handler may
-        # request a larger block while a query uses its own. All blocks together are at most twice the largest.
+        # request a larger block while a query uses its own. All blocks together are at most twice as large as the
+        # largest.
         self.made = [Memory(0)]
 
 

@@ -4,8 +4,8 @@ The library contains the kernels as machine code. It is built from the kernels' 
 that Numba uses on a user's machine. The library is next to this file, with a list of its files and a hash of the
 sources. A library that was built from other sources, or altered afterwards, is not loaded.
 
-A build in a clone provides kernels before it ends: the list names a file with the kernels built so far, and a call of
-any other kernel waits.
+While a build runs in a clone, finished kernels can already be used. The list names a file with the kernels built so
+far, and a call of any other kernel waits.
 """
 
 import json
@@ -26,7 +26,7 @@ LIST = "built.json"
 LOCK = "building"  # a file that is locked while files are built
 POLL = 0.1  # seconds between checks of a build
 EXTENSION = f"{__package__}._call"
-CALL = "_call.abi3.so"  # the extension's file for all Pythons; it is opened by path, so the name suits every system
+CALL = "_call.abi3.so"  # the extension for all versions of Python; it is opened by path, so any system accepts its name
 
 
 class Entry(NamedTuple):

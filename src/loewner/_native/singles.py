@@ -1,4 +1,4 @@
-"""Usual queries, each answered by a single call of the extension, without Python in between (`native/pairs.c`).
+"""Answer usual queries, each by a single call of the extension, without Python in between (`native/pairs.c`).
 
 A query returns an answer, or None if an argument is unusual or the answer takes more work. If the query returns None,
 the caller takes the long way in Python, which checks and reports everything. Without a library, every query returns
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loewner._native import entries, library
 
-# Names in this module of the queries about one pair of bodies.
+# The queries about one pair of bodies, by their names in this module.
 PAIRS = ("collide", "classify", "distance")
 
 # Kernels that these queries need, in the order of the extension's arguments. The last two kernels are called first, and

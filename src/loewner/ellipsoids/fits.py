@@ -98,7 +98,7 @@ def mvce(
         points.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, where `done` is the percentage of the requested digits
-        reached.
+        that has been reached.
 
     Returns
     -------
@@ -120,8 +120,8 @@ def mvce(
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
     with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. The
     fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to 0.8 GB for the
-    interior-point method. The paper reduces the problem to an inscribed ellipsoid; `mvce_by_lifted_mvie` of
-    ``loewner.paper`` does so.
+    interior-point method. For the paper's reduction to an inscribed ellipsoid, use `mvce_by_lifted_mvie` of
+    ``loewner.paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
     (Titterington). That is, the weights maximise the determinant of the information matrix: the determinant's logarithm
@@ -195,7 +195,7 @@ def mvie(
         half-spaces need not be bounded, provided it contains no line through the center.
     progress : callable, optional
         Called as ``progress(done, 100)`` from time to time, where `done` is the percentage of the requested digits
-        reached.
+        that has been reached.
 
     Returns
     -------

@@ -191,15 +191,16 @@ def protrusions(
 
     Notes
     -----
-    The distances of two points to the solid differ by at most the distance between the points. One bound for a triangle
-    of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the triangle's
-    radius about the center. The distance to a single triangle of the mesh is a convex function, so its largest value at
-    a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required bound is halved,
-    or cut along the edges of the mesh triangle in which it nearly lies. The cut settles the part in the mesh triangle.
+    The distances of two points from the solid differ by at most the distance between the points. One bound for a
+    triangle of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the
+    triangle's radius about the center. The distance to a single triangle of the mesh is a convex function, so its
+    largest value at a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required
+    bound is halved, or cut along the edges of the mesh triangle in which it nearly lies. The cut settles the part in
+    the mesh triangle.
 
-    If a piece fills a cavity or a groove of the mesh, the distance may have a greater local maximum inside the piece.
-    At such a maximum, the directions from the nearest points of the surface surround the point, and each direction is a
-    combination of outward normals of triangles at its nearest point.
+    If a piece fills a cavity or a groove of the mesh, the distance may have a local maximum inside the piece that
+    exceeds all values on its boundary. At such a maximum, the directions from the nearest points of the surface
+    surround the point, and each direction is a combination of outward normals of triangles at its nearest point.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
     any other cube, the bound from the distance of its center is used, or the cube is divided. If the solid is on the

@@ -126,7 +126,7 @@ def _ellipsoids(
 
 
 def _section(experiment: Experiment, k: int, kind: str) -> Any:
-    """Cut pair k by the plane of its near-point line; `kind` names the inner ellipsoids to use."""
+    """Cut pair k along a plane through its near-point line; `kind` names the inner ellipsoids to use."""
     from matplotlib.colors import to_rgba
 
     earlier = kind == "heuristic"

@@ -93,7 +93,7 @@ STYLE = (
 
 
 def html(experiment: Experiment, images: dict[str, bytes]) -> str:
-    """Format the report as one self-contained HTML file that includes the PNG files among `images`, made by `write`."""
+    """Format the report as one self-contained HTML file, which includes the PNG files among `images` (see `write`)."""
     parts: list[str] = []
     escape = _html.escape
     for kind, content in _blocks(experiment):

@@ -51,7 +51,7 @@ class Result:
 
     @property
     def label(self) -> str:
-        """The name, after the number of a detector."""
+        """The name, preceded by the detector's number if there is one."""
         return f"{self.id}: {self.name}" if self.id else self.name
 
 

@@ -83,8 +83,8 @@ def largest_inside(
 ) -> tuple[Floats, Floats, Floats, int]:
     """Find the center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
-    `center` is the analytic center and `frame` is the whitening there; both come from `entries.center_in`. The result
-    holds up to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
+    `center` is the analytic center, and `frame` whitens the half-spaces about it; both come from `entries.center_in`.
+    The result holds up to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
     """
     _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again for each step and for its linear system
     n = A.shape[1]
@@ -183,7 +183,7 @@ def _ratios(R: Floats, found: _Inside) -> Floats:
 
 
 def _solve(A: Floats, x: Floats, active: _WorkingSet, target: float, reporter: Reporter) -> _Inside:
-    """Find the largest ellipsoid in {x : A x <= 1}, A from `active`, given a point inside and its multipliers.
+    """Find the largest ellipsoid in {x : A x <= 1}, where A has the rows of `active`, starting from a point inside.
 
     Half-spaces are dropped from `active`. At the end, `active` has the multipliers of the result.
     """

@@ -1,4 +1,4 @@
-"""Find the smallest ellipsoid around points in high dimension, in NumPy: coordinate ascent, then an interior point.
+"""Find the smallest ellipsoid around points in high dimension: coordinate ascent, then an interior-point method.
 
 The dual maximises log det M over weights u >= 0, Σ u = 1, with M = Σ u_i q_i q_iᵀ and q = (1, x) of length N = n + 1;
 if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere, and w = N
@@ -60,7 +60,7 @@ class _WorkingSet:
     index: Ints
     Q: Floats  # shape (k, N); the first column is ones, unless the center is given
     u: Floats
-    lifted: int  # N - n, so 1, or 0 if the center is given
+    lifted: int  # N - n, which is 0 if the center is given, and 1 otherwise
     bold: bool = True  # points are dropped by a guess, until a dropped point turns out to matter
 
     @property
@@ -311,7 +311,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
 
 
 def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
-    """Solve as `_kernels.fits.mvce.solve_dual` does, with a row of the matrix for each point; return steps and gap.
+    """Solve like `_kernels.fits.mvce.solve_dual`, but with one matrix row per point; return steps and gap.
 
     Points that cannot have weight are dropped. At the end, the working set has the best weights of all steps.
     """
@@ -415,9 +415,10 @@ def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, th
 def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, float, float]:
     """Scale `factor` until it certainly contains every point; return factor, scale, and the rounding error of radii.
 
-    With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Entry i of
-    the computed X d, with X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in any order of
-    summation, and entries of the computed R err likewise, so |y| (1 - error) is at most the computed |X d| / s.
+    With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Since X is
+    lower triangular, entry i of the computed X d errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in any order of
+    summation. The entries of the computed R have errors of the same kind. Therefore, |y| (1 - error) is at most the
+    computed |X d| / s.
     """
     n = len(factor)
     terms = 2.0 * np.arange(n)[:, None] + 10.0
