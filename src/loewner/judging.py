@@ -383,9 +383,8 @@ class _Pairs:
         single, families = np.ones(self.Ta.shape[:-2], dtype=bool), []
         for body in (self.a, self.b):
             kind = packed_of(body).layout[:, columns.KIND]
-            several = np.diff(packed_of(body).piece_start) > 1
             convex = _of_each(body, np.minimum, kind) >= columns.MAPPED
-            single = single & convex & ~(several[0] if isinstance(body, Body) else several)
+            single = single & convex & (_of_each(body, np.add, np.ones(len(kind))) == 1)
             family = np.where(kind <= columns.POLYTOPE, FLAT, np.where(np.isin(kind, BALLS), BALL, UNLIKE))
             first, last = (_of_each(body, which, family) for which in (np.minimum, np.maximum))
             families.append(np.where(first == last, first, UNLIKE))

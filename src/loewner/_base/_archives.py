@@ -195,8 +195,7 @@ def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
         size = max(len(data) - stop, 0)
         if size != header.nbytes:
             raise InputError(f"{name}: expected {header.nbytes} bytes for shape {header.shape}, found {size}")
-        order: Any = "F" if header.fortran_order else "C"
-        return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
+        return np.ndarray(header.shape, header.dtype, data, stop, order=header.order).copy(order="K")
     except (ValueError, TypeError) as error:  # includes InputError; extreme types and shapes raise other errors
         reason = str(error).removeprefix(f"{name}: ")
         raise FileError(f"{name}: expected {what}, found something else ({reason})") from None
@@ -248,8 +247,7 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format, wanted: str
     _check_content(sum(header.nbytes for header in headers.values()), name)
 
     told: dict[str, Any] = {key: _array(archive, infos[f"{key}.npy"], header) for key, header in headers.items()}
-    texts = [text for text in kind.texts if f"{text}.npy" in infos]
-    told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in texts}
+    told |= {text: _texts(archive, infos[f"{text}.npy"]) for text in kind.texts if f"{text}.npy" in infos}
     checksum = digest(told)
     if _text(archive, infos["digest.npy"]) != checksum:
         raise FileError(f"{name}: the content does not match its checksum; the file is damaged or was altered")
@@ -279,7 +277,7 @@ class _Header:
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
-    fortran_order: bool
+    order: Any  # "F" or "C", as in NumPy
 
     @property
     def nbytes(self) -> int:
@@ -331,7 +329,7 @@ def _parsed(text: bytes, name: str, letters: str) -> _Header:
     if kind[1] not in letters:
         raise InputError(f"{name}: expected numbers{' or text' if 'U' in letters else ''}, found type {kind}")
     shape = tuple(int(n) for n in lengths.replace(",", " ").split())
-    return _Header(np.dtype(kind), shape, fortran == "True")
+    return _Header(np.dtype(kind), shape, "F" if fortran == "True" else "C")
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> Any:
@@ -339,7 +337,6 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> 
     with archive.open(info) as member:
         if _header_of(member, info) != header:
             raise InputError(f"{info.filename}: changed while it was read")
-        order: Any = "F" if header.fortran_order else "C"
         data = np.empty(header.nbytes, dtype=np.uint8)
         at = 0
         while at < len(data):
@@ -349,7 +346,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> 
             data[at : at + len(part)] = np.frombuffer(part, dtype=np.uint8)
             at += len(part)
         member.read(1)  # at the end of the member, zipfile verifies the archive's own checksum
-    return data.view(header.dtype).reshape(header.shape, order=order)
+    return data.view(header.dtype).reshape(header.shape, order=header.order)
 
 
 def _texts(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:

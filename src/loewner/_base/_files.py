@@ -106,24 +106,25 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     FileError
-        If something other than a regular file has this name, since root could replace a device or a pipe by renaming.
+        If something other than a regular file has this name: as root, renaming would replace even a device or a pipe.
         Also if writing or renaming fails. An existing file of this name stays unchanged.
     """
     name = shown(path)
-    target = _regular_or_new(Path(path), name)
-    # The caller opens this name, so that the user's file mode applies. The suffix is kept, since some writers choose
-    # the format by the suffix.
-    temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
-        yield temporary
-        os.replace(temporary, target)
+        target = _regular_or_new(Path(path), name)
+        # The caller opens this name, so that the user's file mode applies. The suffix is kept, since some writers
+        # choose the format by the suffix.
+        temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
+        try:
+            yield temporary
+            os.replace(temporary, target)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
     except FileError:
         raise
     except OSError as error:
         raise FileError(f"{name}: could not be written ({error.strerror or error})") from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def write_atomically(target: Path, content: bytes | bytearray) -> None:
@@ -147,9 +148,5 @@ def _regular_or_new(path: Path, name: str) -> Path:
         with suppress(FileNotFoundError):  # the file is new; errors are reported when it is written
             _expect_regular(os.stat(path), name, "the name of a file to write")
         return Path(os.path.realpath(path))
-    except FileError:
-        raise
     except ValueError:  # NUL, or a surrogate that encodes no byte
         raise FileError(f"{name}: expected the name of a file to write, found one that no file can have") from None
-    except OSError as error:
-        raise FileError(f"{name}: could not be written ({error.strerror or error})") from None

@@ -60,11 +60,6 @@ def guarded(thing: T) -> T:
     return thing
 
 
-def is_guarded(function: Any) -> bool:
-    """Return whether a function or method has been wrapped by `guarded`."""
-    return hasattr(function, "_guarded")
-
-
 def _guarded(function: Any) -> Any:
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -81,5 +76,4 @@ def _guarded(function: Any) -> Any:
         finally:
             del cause
 
-    call._guarded = True  # type: ignore[attr-defined]
     return call

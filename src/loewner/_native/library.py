@@ -154,10 +154,8 @@ def is_being_built() -> bool:
     try:
         with (HOME / LOCK).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, BlockingIOError)  # another process has the lock
     return False
 
 

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from loewner._base import _validate
 from loewner._base._guard import guarded
-from loewner._base._validate import Floats
 from loewner._kernels import codes
 from loewner._native import entries
 from loewner.ellipsoids.fits import DEFAULT_TOLERANCE, Fit, certified_fit, checked_tolerance
@@ -56,22 +55,19 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     """
     x = writeable(_validate.finite_array(points, "points", ("m", "n")))
     check_enough(x, "points")
-    return _lifted(x, checked_tolerance(tol))
-
-
-def _lifted(points: Floats, tol: float) -> Fit:
-    """Find the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, and cut its polar at height 1."""
-    m, n = points.shape
-    code, _, _, _, origin, frame, local = entries.to_unit_size(points, FLATNESS)
+    tolerance = checked_tolerance(tol)
+    m, n = x.shape
+    code, _, _, _, origin, frame, local = entries.to_unit_size(x, FLATNESS)
     if code == codes.FLAT:
-        raise flat_error("points", points)
+        raise flat_error("points", x)
+    # Find the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, where v are the points, and cut its polar at height 1.
     lifted = np.column_stack([local, np.ones(m)])
     z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
     gap, iterations = entries.solve_primal_dual(
-        np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tol, z, low, multipliers
+        np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tolerance, z, low, multipliers
     )
     if not np.isfinite(gap):
-        return certified_fit("mvce_by_lifted_mvie", origin, frame, gap, iterations, tol)
+        return certified_fit("mvce_by_lifted_mvie", origin, frame, gap, iterations, tolerance)
     # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} contains every (v, 1). Its cut
     # at height 1 has the center -P⁻¹ p and the matrix P / (1 - s + pᵀ P⁻¹ p). With P = R Rᵀ, p = R r and s = rᵀr + t²,
     # these are the center -R⁻ᵀ r and the matrix P / (1 - t²).
@@ -82,6 +78,6 @@ def _lifted(points: Floats, tol: float) -> Fit:
     center = origin - frame @ (inverse.T @ r)
     # Each point's dual weight is the sum of the multipliers of its two half-spaces, which are duals of the MVIE.
     weights = multipliers[:m] + multipliers[m:]
-    error = entries.enclose(points, center, factor)
-    gap = entries.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
-    return certified_fit("mvce_by_lifted_mvie", center, factor, gap, iterations, tol)
+    error = entries.enclose(x, center, factor)
+    gap = entries.outer_gap(x, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
+    return certified_fit("mvce_by_lifted_mvie", center, factor, gap, iterations, tolerance)

@@ -7,7 +7,7 @@ import numpy as np
 
 from loewner._base._validate import Floats, Ints
 from loewner.meshes.files.parts import Refusal, Tell, Triangles, cut, expect, quoted
-from loewner.meshes.files.text import floats, in_line, integers, is_integer, remarks, tell_unit, with_line_feeds
+from loewner.meshes.files.text import floats, in_line, integers, remarks, tell_unit, with_line_feeds
 
 # Number of bytes that are split into words at a time; the words take about twenty times as much memory.
 BLOCK = 1 << 23
@@ -149,9 +149,10 @@ def _corners(flat: list[bytes], numbers: Ints, seen: Ints) -> Ints:
         flat = [word.partition(b"/")[0] for word in flat]
     try:
         indices = integers(flat)
-    except Refusal as refusal:
-        k = next((k for k, word in enumerate(flat) if not is_integer(word)), 0)
-        raise Refusal(str(refusal), int(numbers[k])) from None
+    except Refusal:
+        for number, word in zip(numbers.tolist(), flat, strict=True):
+            in_line(number, integers, [word])
+        raise
     corners = np.where(indices > 0, indices - 1, indices + seen)
     wrong = (indices == 0) | (corners < 0)
     if wrong.any():

@@ -14,39 +14,25 @@ from loewner.meshes.files.parts import Refusal, Tell, quoted
 T = TypeVar("T", np.float64, np.int64)
 
 
-def is_float(token: bytes) -> bool:
-    """Return whether `floats` accepts a token: Python's grammar without underscores."""
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return b"_" not in token
-
-
-def is_integer(token: bytes) -> bool:
-    """Return whether `integers` accepts a token."""
-    return token.lstrip(b"+-").isdigit() and len(token) <= 19 and token.lstrip(b"+-") in (token, token[1:])
-
-
 def floats(tokens: Sequence[bytes]) -> Floats:
     """Convert tokens to numbers, where 1e400 becomes infinity; refuse the first token that is not a number."""
-    numbers = _converted(tokens, float, np.float64)
-    if numbers is None:
-        bad = next(token for token in tokens if not is_float(token))
-        raise Refusal(f"expected a number, found {quoted(bad)}")
-    return numbers
+    return _converted(tokens, float, np.float64, "a number")
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
     """Convert tokens to integers; refuse the first token that is not an integer or is absurdly large."""
-    numbers = _converted(tokens, int, np.int64)
+    return _converted(tokens, int, np.int64, "a whole number")
+
+
+def _converted(tokens: Sequence[bytes], read: Callable[[bytes], Any], kind: type[T], wanted: str) -> NDArray[T]:
+    numbers = _numbers(tokens, read, kind)
     if numbers is None:
-        bad = next((token for token in tokens if not is_integer(token)), max(tokens, key=len, default=b""))
-        raise Refusal(f"expected a whole number, found {quoted(bad)}")
+        bad = next(token for token in tokens if _numbers([token], read, kind) is None)
+        raise Refusal(f"expected {wanted}, found {quoted(bad)}")
     return numbers
 
 
-def _converted(tokens: Sequence[bytes], read: Callable[[bytes], Any], kind: type[T]) -> NDArray[T] | None:
+def _numbers(tokens: Sequence[bytes], read: Callable[[bytes], Any], kind: type[T]) -> NDArray[T] | None:
     """Convert tokens with `int` or `float`, but refuse underscores; None if a token is not such a number."""
     try:
         numbers = np.fromiter(map(read, tokens), dtype=kind, count=len(tokens))
