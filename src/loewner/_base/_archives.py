@@ -112,10 +112,9 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any],
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
     _check_content(sum(np.asarray(array).nbytes for array in arrays.values()), str(target))
-    told = kind.version if version is None else version
-    content: dict[str, Any] = {"format": kind.name, "version": told, "digest": digest(arrays), **arrays}
+    content = {"format": kind.name, "version": version or kind.version, "digest": digest(arrays)}
     with replacing(target) as temporary, open(temporary, "xb") as stream:
-        _save(stream, content)
+        _save(stream, {**content, **arrays})
 
 
 def _save(stream: IO[bytes], content: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loewner._base._matrices import dot, least_of, product, slices
+from loewner._base._matrices import product, slices
 from loewner._base._validate import Bools, Floats
 from loewner._kernels import columns
 from loewner._native import entries
@@ -15,7 +15,7 @@ from loewner.bodies.flat_faces import flat_faces
 from loewner.bodies.layout import kernel_of_parts, laid_out
 from loewner.bodies.pack import Packed, Prepared, as_one, some
 from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
-from loewner.ellipsoids.polytopes import Polytope
+from loewner.ellipsoids.polytopes import Polytope, heights_about_mean
 from loewner.errors import GeometryError
 
 # Number of parts of a surface. If hulls of parts meet, a proof of a motion continues with their triangles.
@@ -158,9 +158,7 @@ def _hull_around(points: Floats, box: Floats) -> Floats:
         hull = Polytope.from_points(chosen)
     except GeometryError:
         return points if len(points) <= len(WAYS) else box
-    center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
-    normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
-    heights = least_of(dot(normals[:, None], vertices).min(axis=1), hull.face_of_simplex, len(hull.normals))
+    center, heights = heights_about_mean(hull)
     if not heights.min() > 0:
         return box
     rows, away = hull.normals / heights[:, None], (points - center).T

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner._base import _memory, _validate
 from loewner._base._guard import guarded
-from loewner._base._matrices import least_of
+from loewner._base._matrices import dot, least_of
 from loewner._base._read_only import KeepsReadOnly, read_only
 from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
@@ -157,6 +157,14 @@ class Polytope(KeepsReadOnly):
 
     def __repr__(self) -> str:
         return f"Polytope({len(self.vertices)} vertices, {len(self.normals)} faces, n={self.dim})"
+
+
+def heights_about_mean(hull: Polytope) -> tuple[Floats, Floats]:
+    """Return the mean of a hull's vertices, and for each face the least height of its vertices above the mean."""
+    center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
+    normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
+    heights = dot(normals[:, None], vertices).min(axis=1)
+    return center, least_of(heights, hull.face_of_simplex, len(hull.normals))
 
 
 def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | None = None) -> None:

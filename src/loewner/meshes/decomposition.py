@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -556,10 +557,8 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
     )
     hulls = []
     for points, _ in parts:
-        try:
+        with suppress(GeometryError):  # flat slivers; covering assigns their surface to a neighbour, and measures it
             hulls.append(Polytope.from_points(np.asarray(points) * size + middle))
-        except GeometryError:
-            continue  # a flat sliver; covering assigns its part of the surface to a neighbour, and measures it
     if not hulls:
         raise GeometryError("mesh: expected solid pieces from CoACD, found none; decompose=False takes the convex hull")
     return hulls

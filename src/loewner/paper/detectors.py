@@ -76,9 +76,8 @@ class Confusion:
         collides, truth = _truths(collides, "collides"), _truths(truth, "truth")
         if collides.shape != truth.shape:
             raise InputError(f"truth: expected shape {collides.shape}, as collides, found {truth.shape}")
-        tp, fp = int((collides & truth).sum()), int((collides & ~truth).sum())
-        fn = int((~collides & truth).sum())
-        return cls(tp, fp, fn, len(truth) - tp - fp - fn)
+        cells = collides & truth, collides & ~truth, ~collides & truth, ~collides & ~truth
+        return cls(*(int(cell.sum()) for cell in cells))
 
     @property
     def counts(self) -> tuple[int, int, int, int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +72,8 @@ def _counted(name: str, fit: Callable[[Floats], Fit], polyhedra: Sequence[Floats
     gaps: list[float] = []
     begin = time.perf_counter()
     for polyhedron in polyhedra:
-        try:
+        with suppress(LoewnerError):
             gaps.append(fit(polyhedron).gap)
-        except LoewnerError:
-            continue
     microseconds = 1e6 * (time.perf_counter() - begin) / len(polyhedra)
     failed, largest = len(polyhedra) - len(gaps), max(gaps, default=float("nan"))
     return Fitting(name, len(polyhedra), failed, largest, microseconds)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner._base import _validate
-from loewner._base._matrices import dot, image, least_of, lengths, principal_axes, product
+from loewner._base._matrices import dot, image, lengths, principal_axes, product
 from loewner._base._threads import in_shares
 from loewner._base._validate import Floats, Ints, Progress
 from loewner._kernels import columns
@@ -26,7 +26,7 @@ from loewner._native import entries
 from loewner.bodies import CURVED, Body, Packed, body_of_polytopes, packed_of
 from loewner.bodies.kinds import ball, inradius
 from loewner.bodies.surface_trees import SurfaceTree
-from loewner.ellipsoids.polytopes import Polytope
+from loewner.ellipsoids.polytopes import Polytope, heights_about_mean
 from loewner.errors import GeometryError, InputError
 from loewner.meshes import decomposition as meshes
 from loewner.meshes.closed_parts import closed_parts
@@ -448,9 +448,7 @@ def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
     corners = (np.unique(ends, axis=0)[:, None] + one.grown * OCTAHEDRON).reshape(-1, 3)
     hull = Polytope.from_points(corners.astype(np.float32).astype(np.float64))
     # Check containment with the lemma of docs/containment.md, which holds for any normals.
-    center = np.add.reduce(hull.vertices, axis=0) / len(hull.vertices)
-    normals, vertices = hull.normals[hull.face_of_simplex], hull.vertices[hull.simplices] - center
-    heights = least_of(dot(normals[:, None], vertices).min(axis=1), hull.face_of_simplex, len(hull.normals))
+    center, heights = heights_about_mean(hull)
     reached = product(hull.normals, (ends - center).T).max(axis=1) + one.growth * (1 + ROUNDINGS)
     if not (reached < heights).all():
         raise GeometryError(

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -115,10 +116,8 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
     # Each line begins with "v", which is not a number: if the lines differ in length, a "v" ends up in a column of
     # numbers.
     if width in _WIDTHS and len(flat) == len(vertex_lines) * (width + 1):
-        try:
+        with suppress(Refusal):  # the refusal is reported below, with its line
             return np.stack([floats(flat[k :: width + 1]) for k in range(1, width + 1)], axis=1)
-        except Refusal:
-            pass
     requirement = f"{width} numbers as in the lines before" if width in _WIDTHS else "3, 4, 6 or 7 numbers"
     for number, line in zip(numbers, vertex_lines, strict=True):
         words = line.split()[1:]

@@ -1,5 +1,7 @@
 """Read the text form of the Object File Format: header, three counts, vertices and faces, colours and normals."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from loewner._base._validate import Floats, Ints
@@ -40,14 +42,12 @@ def read(data: bytes, tell: Tell) -> tuple[Floats, Triangles]:
 
 def _faces(faces: list[list[bytes]], numbers: list[int], count: int) -> tuple[Ints, Ints]:
     """Read the corners of all faces, concatenated, and the number of corners of each face."""
-    try:
+    with suppress(Refusal):  # the refusal is reported below, with its line
         sizes = integers([line[0] for line in faces])
         if all(len(line) == size + 1 >= 4 for line, size in zip(faces, sizes.tolist(), strict=True)):
             corners = integers([word for line in faces for word in line[1:]])
             check_range(corners, count, "a face")
             return corners, sizes
-    except Refusal:
-        pass  # the refusal is reported below, with its line
     parts = [_face(line, number, count) for line, number in zip(faces, numbers, strict=True)]
     return np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64)
 
