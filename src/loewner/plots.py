@@ -405,7 +405,7 @@ def trajectory(checker: CollisionChecker, curve: Any, *, joint_error: ArrayLike 
 def _draw_distances(
     ax: Any, checker: CollisionChecker, samples: tuple[Floats, Floats], found: Any, near: ClosestApproach, unit: str
 ) -> None:
-    """Draw the distances of the nearest pairs and of all pairs that are not proven free, and mark the least one."""
+    """Draw the distances of the nearest pairs and of all pairs that are not proven free; mark the least distance."""
     ticks, Q = samples
     nearest = checker.distance(Q, ticks, exact=True).distance
     top = 1.05 * max(float(nearest.max()), 0.0) + 1e-3

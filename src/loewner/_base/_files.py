@@ -11,7 +11,7 @@ from loewner.errors import FileError
 # Number of bytes read at a time. A file may state a false size, which must not cause a large allocation.
 CHUNK = 1 << 24
 
-# Number of hexadecimal digits of a digest in a file's name. Two contents do not share this many digits by chance.
+# Number of hexadecimal digits of a digest in a file's name. No two contents share this many digits by chance.
 DIGITS = 16
 
 # Kinds of files other than regular ones.

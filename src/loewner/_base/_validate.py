@@ -345,7 +345,7 @@ def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...])
 
 
 def increasing(times: Floats, name: str) -> None:
-    """Check that each time is after the one before it."""
+    """Check that each time is later than the time before it."""
     for k in np.flatnonzero(~(np.diff(times) > 0))[:1]:
         before, after = times[k : k + 2].tolist()
         raise InputError(f"{name}: expected times that increase, found {before:.15g} and then {after:.15g} at {k + 1}")

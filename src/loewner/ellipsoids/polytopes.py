@@ -379,7 +379,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None
     sample, unit = coordinates[chosen], np.eye(3)
     try:
         simplices, neighbors, equations = _qhull(sample, "no hull of a sample")
-    except GeometryError:  # the sample is flat to rounding; all points may not be flat
+    except GeometryError:  # the sample is flat to rounding, but the whole set may not be
         return None
     code, _, used, face_of, normals, _ = entries.finish_hull(sample, unit, sample, simplices, neighbors, equations)
     if code != 0 or used.sum() > WORTHWHILE * len(sample):

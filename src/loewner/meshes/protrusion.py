@@ -200,7 +200,8 @@ def protrusions(
 
     If a piece fills a cavity or a groove of the mesh, the distance may have a local maximum inside the piece that
     exceeds all values on its boundary. At such a maximum, the directions from the nearest points of the surface
-    surround the point, and each direction is a combination of outward normals of triangles at its nearest point.
+    surround the point. Each direction is a combination of the outward normals of the triangles at the nearest point
+    from which it starts.
 
     The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
     any other cube, the bound from the distance of its center is used, or the cube is divided. If the solid is on the

@@ -76,7 +76,8 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
     factor *= np.sign(np.diagonal(factor))
     center = origin - frame @ (inverse.T @ r)
-    # Each point's dual weight is the sum of the multipliers of its two half-spaces, which are duals of the MVIE.
+    # The multipliers are the duals of the MVIE. A point's dual weight is the sum of the multipliers of its two
+    # half-spaces.
     weights = multipliers[:m] + multipliers[m:]
     error = entries.enclose(x, center, factor)
     gap = entries.outer_gap(x, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf

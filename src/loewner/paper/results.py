@@ -1,4 +1,4 @@
-"""Hold the results of the experiment, and write them to files."""
+"""Hold the results of the experiment, and convert them to the form that is written to JSON."""
 
 from __future__ import annotations
 
