@@ -55,6 +55,15 @@ def test_a_backslash_behind_what_is_passed_over(line, at, tmp_path):
     assert load(tmp_path, "part.obj", "\n".join([*OBJ, "g part\\"])) == (WHOLE, [])
 
 
+@pytest.mark.parametrize("word", ["x", "1_0", "9" * 19, "9" * 30])
+def test_the_number_that_is_refused_is_named(word, tmp_path):
+    """An index with many leading zeros is read; the refusal names the first word that is not a number of 64 bits."""
+    zeros = "f 1 2 " + "0" * 30 + "3"
+    assert load(tmp_path, "part.obj", "\n".join([*OBJ, zeros]))[0][0] == len(FACES) + 1
+    match = f"line {len(OBJ) + 2}: expected a whole number, found '{word}'"
+    refused(tmp_path, "part.obj", "\n".join([*OBJ, zeros, f"f 1 2 {word}"]), match)
+
+
 def test_vertices_and_faces_may_continue(tmp_path):
     """A line that ends in a backslash goes on in the next one, for vertices and faces."""
     text = "\n".join([OBJ[0].replace(" ", " \\\n"), *OBJ[1:-1], OBJ[-1].replace(" ", "\\\n ") + " # the last"])

@@ -116,7 +116,8 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     --------
     >>> a = Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
     >>> b = Ellipsoids.from_semi_axes([4, 0, 0], [1, 2, 3])
-    >>> round(float(contact_function(a, b)), 9)  # if both were twice as large, they would touch 4.0
+    >>> round(float(contact_function(a, b)), 9)  # if both were twice as large, they would touch
+    4.0
     """
     pair = PairArrays(E1, E2, "contact_function")
     value = np.empty(len(pair.offset))

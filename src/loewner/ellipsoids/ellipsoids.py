@@ -124,7 +124,8 @@ class Ellipsoids(KeepsReadOnly):
 
         Examples
         --------
-        >>> Ellipsoids.from_semi_axes([[0, 0, 0], [1, 0, 0]], [3, 2, 1])  # two of the same shape Ellipsoids((2,), n=3)
+        >>> Ellipsoids.from_semi_axes([[0, 0, 0], [1, 0, 0]], [3, 2, 1])  # two of the same shape
+        Ellipsoids((2,), n=3)
         """
         axes = _validate.finite_array(semi_axes, "semi_axes", ("...", None))
         if not (axes > 0).all():
