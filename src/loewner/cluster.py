@@ -1,9 +1,9 @@
-"""Fit corpora of meshes and run checkers on large arrays, in several processes or on several machines, with Dask.
+"""Use Dask to fit many meshes, and to run checkers on large arrays, in several processes or on several machines.
 
-Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
+Install Dask with ``pip install "loewner[cluster]"``; it is imported only when a function here is called.
 
-Each task uses one thread, and a worker runs as many tasks at a time as it has threads. If a task used all processors,
-as calls do outside Dask, the tasks would compete with one another.
+Each task uses one thread, and a worker runs as many tasks at a time as it has threads. Outside Dask, a call uses all
+processors; if tasks did the same, they would compete with one another.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from loewner.robots.description.robot import expect_width
 
 __all__ = ["Fitted", "certify_edges", "collide", "distance", "fit"]
 
-# How long a scheduler may take to answer [s].
+# Longest time for a scheduler's answer [s].
 PATIENCE = 10
 
 # Number of files sent to the scheduler in one message.
 AT_A_TIME = 4096
 
-# How many times the same work is requested if it is cancelled while the scheduler is alive.
+# If the work is cancelled while the scheduler runs, it is requested again, up to this many times in all.
 ATTEMPTS = 4
 
-# Largest size of a record [bytes]. A record takes a few hundred bytes, and a name of at most 255 letters.
+# Largest size of a record [bytes]. A record takes a few hundred bytes, including a name of at most 255 letters.
 LARGEST_RECORD = 2**16
 
-# Files with these endings may refer to other files for their meshes, so that their own bytes do not identify the mesh.
+# Files with these endings may refer to other files for their meshes; their own bytes then do not identify the mesh.
 LINKING = (".gltf", ".glb")
 
-# Types of options in a record.
+# Functions that convert options to plain values for a record.
 PLAIN: dict[str, Callable[[Any], Any]] = {
     "decompose": bool, "tol": float, "scale": lambda scale: np.asarray(scale, dtype=np.float64).tolist(), "cover": bool,
     "tolerance": float, "threshold": float, "max_pieces": int, "seed": int,
@@ -67,19 +67,19 @@ HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker A
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The outcome for each mesh of a corpus; each dict is in the order in which the meshes were given.
+    """The outcome for each mesh of a call of `fit`; each dict is in the order of the call's `paths`.
 
     Attributes
     ----------
     done : dict of Path to Path
-        Maps each mesh whose body this call made to the file of the body.
+        For each mesh whose body this call made: the file of the body.
     skipped : dict of Path to Path
-        Maps each mesh whose body already existed, for the same mesh and options, to the file of the body.
+        For each mesh whose body already existed, made from the same mesh with the same options: the file of the body.
     failed : dict of Path to str
-        Maps each remaining mesh to the reason why it failed.
+        For each remaining mesh: the reason for the failure.
     warned : dict of Path to tuple of str
-        Warnings of `Body.from_mesh` for meshes that were fitted or skipped, for instance about holes or an unusual
-        size.
+        For each mesh with warnings that was fitted or skipped: the warnings of `Body.from_mesh`, for instance about
+        holes or an unusual size.
 
     Examples
     --------
@@ -114,20 +114,20 @@ def fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Fitted:
-    """Fit many mesh files on the workers of a cluster, as `Body.from_mesh` does, and save the bodies.
+    """Fit many mesh files on the workers of a cluster, each as by `Body.from_mesh`, and save the bodies.
 
     Parameters
     ----------
     paths : iterable of path
         Mesh files. The workers read the meshes and write the bodies under the same paths as the caller, so several
-        machines need shared folders. A path that is given twice counts once.
+        machines need shared folders. Duplicate paths count once.
     client : distributed.Client or str
         Client of the cluster, or the address of its scheduler.
     out : path
-        Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``, and
-        ``part.fit.json`` beside it records the mesh and the options.
+        Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``. The file
+        ``part.fit.json`` next to it records the mesh and the options.
     root : path, optional
-        A folder that contains all meshes. If `root` is given, the body of ``root/a/part.stl`` is ``out/a/part.npz``. By
+        A folder that contains all meshes. With `root`, the body of ``root/a/part.stl`` is ``out/a/part.npz``. By
         default, all bodies are written to `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
         As for `Body.from_mesh`; `tolerance` is in metres.
@@ -137,13 +137,13 @@ def fit(
     Returns
     -------
     Fitted
-        The outcomes; files that could not be fitted are listed and cause no error.
+        The outcomes. A file that cannot be fitted is listed as failed; it causes no error.
 
     Raises
     ------
     InputError
-        If an option has the wrong type or value. If two meshes would have the same body file, or a mesh is not in
-        `root`. If `client` is not a Dask client, is closed, or is an address at which no scheduler answers.
+        If an option has the wrong type or value; if two meshes would have the same body file, or a mesh is not in
+        `root`; or if `client` is not a Dask client, is closed, or is an address at which no scheduler answers.
     FileError
         If the folder cannot be created.
     MissingExtraError
@@ -153,23 +153,24 @@ def fit(
 
     See Also
     --------
-    loewner.Body.from_mesh : Fits one mesh.
+    loewner.Body.from_mesh : Fit one mesh.
 
     Notes
     -----
-    Each body equals the body that `Body.from_mesh` makes. A body is first written under a temporary name, and the file
-    is then renamed.
+    Each body equals the body that `Body.from_mesh` makes. A body is written under a temporary name, and the file is
+    then renamed.
 
-    A mesh is skipped if its body and record exist, and the body has not changed since it was written. In addition, the
-    record must have the checksum of the mesh file, the same options and the same version of loewner. Repeating a call
-    that was interrupted, or whose workers died, therefore continues where the first call stopped. A glTF file that
+    A mesh is skipped if its body and its record exist, if the body has not changed since it was written, and if the
+    record has the checksum of the mesh file, the same options and the same version of loewner. If a call was
+    interrupted, or its workers died, the same call therefore continues where the first call stopped. A glTF file that
     refers to other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
-    with the worker. Tasks may be cancelled while the scheduler runs, for instance because a connection breaks or the
-    scheduler is restarted. Cancelled tasks are requested again, at most four times in all. A file counts as failed if
-    four workers died while fitting it, since the file may need more memory than the workers have. While there are no
-    workers, the call waits for a worker. After an interrupt, files in progress are finished and no further file is
+    with the worker. If four workers die while fitting the same file, the file counts as failed, since it may need more
+    memory than the workers have. While there are no workers, the call waits for a worker.
+
+    Tasks may be cancelled, for instance because a connection breaks or the scheduler is restarted. Cancelled tasks are
+    requested again, up to four times in all. After an interrupt, files in progress are finished, and no further file is
     started.
 
     Examples
@@ -207,16 +208,16 @@ def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If `Body.from_mesh` would refuse an option. The options are tried once on a tiny body, so that a bad option is
-        reported once and not for each file.
+        If `Body.from_mesh` would refuse an option. The options are tried on a tiny body, so that a bad option is
+        reported once, not for each file.
     """
-    with told_to([]), suppress(GeometryError):  # the scale may suit the meshes but not the tiny body
+    with told_to([]), suppress(GeometryError):  # the scale may suit the meshes, but not the tiny body
         Body.from_mesh(TETRAHEDRON, **options)
     return {name: None if value is None else PLAIN[name](value) for name, value in options.items()}
 
 
 def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
-    """Find the file for the body of each mesh.
+    """Determine the file for the body of each mesh.
 
     Raises
     ------
@@ -250,7 +251,7 @@ def _below(mesh: Path, root: Path | None) -> Path:
 
 
 def _absolute(path: Path) -> Path:
-    """Make a path absolute, so that it is valid for a process with a different working directory."""
+    """Make a path absolute, so that it is valid in a process with another working directory."""
     return Path(os.path.abspath(path))
 
 
@@ -258,7 +259,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> Outcome:
-    """Make the body of a mesh unless it exists, as the task of a worker; errors about the file are returned."""
+    """Make the body of a mesh unless the body exists: the task of a worker. Errors about the file are returned."""
     with at_most(1):
         return outcome_of(Path(mesh), lambda: _body_of(Path(mesh), Path(target), options, run))
 
@@ -272,14 +273,13 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
     del data
     record = _record(target)
     if record is not None and (alone or record.get("run") == run) and wanted.items() <= record.items():
-        # Another worker may have made the body for this call, and died before it could report the outcome.
+        # Another worker may have made the body during this call, and have died before it could report the outcome.
         status = "done" if record.get("run") == run else "skipped"
         return Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
     warnings: list[str] = []
     with told_to(warnings):
         body = Body.from_mesh(mesh, **options)
-    # The old and the new record differ in the body's checksum: even if a worker dies here, no record matches a wrong
-    # body.
+    # If a worker dies here, the old record has the checksum of the old body, so it does not match the new body.
     body.save(target)
     entry = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
     write_atomically(_record_path(target), json.dumps(entry, indent=1).encode())
@@ -315,12 +315,12 @@ def _checksum(data: bytes) -> str:
 def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress
 ) -> dict[Path, Outcome]:
-    """Let the workers make all bodies, and wait for them; cancelled work is requested again.
+    """Let the workers make all bodies, and wait for the outcomes; cancelled work is requested again.
 
     Raises
     ------
     LoewnerError
-        If the scheduler has gone, or the work was cancelled every time it was requested.
+        If the scheduler is lost, or the work was cancelled each time it was requested.
     """
     outcomes: dict[Path, Outcome] = {}
     run = os.urandom(8).hex()
@@ -349,10 +349,11 @@ def _request(
     run: str,
     report: Callable[[Path, Outcome], None],
 ) -> None:
-    """Request meshes and report their outcomes, except cancelled ones; if the wait ends early, cancel the work."""
+    """Request bodies of meshes, and report all outcomes but cancellations; if the wait ends early, cancel the work."""
     meshes, bodies = ([str(_absolute(path)) for path in some] for some in (targets, targets.values()))
     futures = client.map(_fit_one, meshes, bodies, options=options, run=run, pure=False, batch_size=AT_A_TIME)
-    # A worker keeps an outcome as long as a reference to it exists; if the worker dies, the outcome is computed again.
+    # A worker keeps an outcome as long as a reference to the outcome exists. If the worker dies, the outcome is
+    # computed again.
     waiting = dict(zip(futures, targets, strict=True))
     del futures
     try:
@@ -363,7 +364,7 @@ def _request(
             if outcome is not None:
                 report(mesh, outcome)
     except BaseException:
-        with suppress(Exception):  # perhaps the scheduler itself is gone
+        with suppress(Exception):  # the scheduler itself may be lost
             client.cancel(list(waiting))
         raise
 
@@ -371,7 +372,7 @@ def _request(
 def _outcome(future: Any, mesh: Path) -> Outcome | None:
     """Return a worker's result or error; None if the work was cancelled or the scheduler cannot be reached."""
     try:
-        outcome: Outcome = future.result()  # the outcome of a worker that has died is computed again, and waited for
+        outcome: Outcome = future.result()  # if the worker has died, this waits until the outcome is computed again
     except _dask("distributed").KilledWorker:
         return Outcome(
             "failed", f"{shown(mesh)}: the workers that fitted it died, one after another; it may need too much memory"
@@ -386,14 +387,14 @@ def _outcome(future: Any, mesh: Path) -> Outcome | None:
 
 
 def _reconnected(client: Any) -> bool:
-    """Return whether the scheduler is available, once a client that lost it has reconnected or given up."""
+    """Wait until a client that lost its scheduler has reconnected or given up; return whether it is connected."""
     while client.status == "connecting":
         time.sleep(0.05)
     return bool(client.status == "running")
 
 
 def _as_called(text: str, mesh: Path) -> str:
-    """Put the caller's name for a file into a worker's message about it."""
+    """Replace the name of a file in a worker's message with the caller's name."""
     there = f"{shown(_absolute(mesh))}: "
     return f"{shown(mesh)}: {text.removeprefix(there)}" if text.startswith(there) else text
 
@@ -414,7 +415,7 @@ def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, Outcome]) -> Fit
 
 @contextmanager
 def _connected(client: Any) -> Iterator[Any]:
-    """Provide a usable client; a client made for an address is closed at the end.
+    """Provide a connected client; if it was made for an address, close it at the end.
 
     Raises
     ------
@@ -424,9 +425,9 @@ def _connected(client: Any) -> Iterator[Any]:
     distributed = _dask("distributed")
     if isinstance(client, str):
         try:
-            distributed.comm.resolve_address(client)  # a bad address would leave a client half initialised
+            distributed.comm.resolve_address(client)  # a bad address would leave a half-initialised client
             new_client = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
-        except Exception as error:  # any error of a protocol; most are ValueError or OSError
+        except Exception as error:  # any error of a protocol, usually ValueError or OSError
             raise InputError(
                 f"client: expected the address of a Dask scheduler, as tcp://host:8786, found "
                 f"{_validate.short(client)} ({error}); {HOW_TO_START}"
@@ -450,14 +451,14 @@ def _connected(client: Any) -> Iterator[Any]:
 
 
 def collide(checker: CollisionChecker, Q: Any) -> Any:
-    """Decide exactly which configurations of a Dask array are in collision, as `CollisionChecker.collide` does.
+    """Decide exactly which configurations of a Dask array are in collision; see `CollisionChecker.collide`.
 
     Parameters
     ----------
     checker : CollisionChecker
-        A checker whose robot and scene are used in their current state; later changes have no effect.
+        The checker, with its robot and scene in their current state; later changes have no effect.
     Q : dask.array.Array, shape (..., dof)
-        Configurations, in chunks of any shape; about ten thousand configurations per chunk are suitable.
+        Configurations, in chunks of any shape. About ten thousand configurations per chunk are suitable.
 
     Returns
     -------
@@ -467,15 +468,15 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
     Raises
     ------
     InputError
-        If `checker` is not a checker, or `Q` is not a Dask array, does not have width dof, or does not hold real
+        If `checker` is not a checker, or if `Q` is not a Dask array, does not have width dof, or does not contain real
         numbers. Computing the result raises the errors of `CollisionChecker.collide`.
     MissingExtraError
         If Dask is not installed.
 
     Notes
     -----
-    The checker is a task of its own: it is sent to each worker once per computation, and prepared there once. Each task
-    uses one thread, on any of Dask's schedulers.
+    The checker is the result of a separate task: each worker receives and prepares it once per computation. Each task
+    uses one thread, with any of Dask's schedulers.
 
     Examples
     --------
@@ -492,7 +493,7 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
 
 
 def distance(checker: CollisionChecker, Q: Any) -> Any:
-    """Compute exact distances at the configurations of a Dask array, as `CollisionChecker.distance` does.
+    """Compute exact distances at the configurations of a Dask array; see `CollisionChecker.distance`.
 
     Parameters
     ----------
@@ -527,31 +528,31 @@ def distance(checker: CollisionChecker, Q: Any) -> Any:
 
 
 def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
-    """Prove which motions, such as the edges of a roadmap, are free, as `CollisionChecker.certify_edges` does.
+    """Prove which motions, such as a roadmap's edges, are free; see `CollisionChecker.certify_edges`.
 
     Parameters
     ----------
     checker : CollisionChecker
     Q0, Q1 : dask.array.Array, shape (..., dof)
-        Starts and ends of the motions, two arrays of equal shape; `Q1` is cut into the chunks of `Q0`.
+        Starts and ends of the motions, as two arrays of equal shape; `Q1` is cut into the same chunks as `Q0`.
     tolerance : float
         Tolerance in metres; see `CollisionChecker.certify_edges`.
 
     Returns
     -------
     dask.array.Array of int8, shape (...)
-        A lazily computed `Verdict` for each motion; FREE is proven.
+        A lazy array with a `Verdict` for each motion; FREE is proven.
 
     Raises
     ------
     InputError, MissingExtraError
-        As for `collide`; InputError also if the shapes differ, or the tolerance is not positive.
+        As for `collide`. InputError is also raised if the shapes differ, or the tolerance is not positive.
 
     Notes
     -----
     As for `collide`. A motion takes dozens of times as long as a configuration, so about a thousand motions per chunk
-    are suitable. Joint values change linearly from `Q0` to `Q1`, whereas a roadmap turns joints without limits the
-    shorter way around. For such joints, add the necessary whole turns to `Q1`.
+    are suitable. Joint values change linearly from `Q0` to `Q1`. In a roadmap, however, joints without limits turn the
+    shorter way around; for such joints, add the necessary whole turns to `Q1`.
 
     Examples
     --------
@@ -571,7 +572,7 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 def _by_chunks(
     task: Callable[..., Any], dtype: Any, checker: CollisionChecker, arrays: dict[str, Any], **more: Any
 ) -> Any:
-    """Apply a task to each chunk; the last axis of a chunk holds the entries of a configuration."""
+    """Apply a task to each chunk; the last axis of a chunk contains the entries of a configuration."""
     da, delayed = _dask("dask.array"), _dask("dask").delayed
     _validate.instance(checker, "checker", CollisionChecker)
     for name, Q in arrays.items():
@@ -581,9 +582,9 @@ def _by_chunks(
         shapes = " and ".join(str(Q.shape) for Q in arrays.values())
         raise InputError(f"expected Q0 and Q1 of one shape, found {shapes}")
     first = first.rechunk({-1: -1})
-    # The checker is sent as bytes: a copy of its current state, named by its checksum. The task that unpacks the bytes
-    # is sent once, and its result is sent to each worker that has a chunk. A checker among a task's arguments would be
-    # sent with each task.
+    # The checker is sent as bytes: a copy of its current state, named by its checksum. One task unpacks the bytes, and
+    # its result is sent to each worker that has a chunk. If the checker were an argument of each task, it would be sent
+    # with each task.
     packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
     there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")
     chunked, axes = [first, *(Q.rechunk(first.chunks) for Q in others)], first.ndim - 1

@@ -1,7 +1,7 @@
-"""Turn a checker's clearances and distances into functions that JAX can differentiate, compile and vectorise.
+"""Make JAX functions of a checker's clearances and distances, which JAX can differentiate, compile and vectorise.
 
-JAX is imported only when a function here is called: ``pip install "loewner[jax]"``. Import this module by its full
-name, ``import loewner.jax``: ``from loewner import jax`` would hide JAX's own name.
+Install JAX with ``pip install "loewner[jax]"``; it is imported only when a function here is called. Import this module
+by its full name, ``import loewner.jax``, because ``from loewner import jax`` would hide JAX's own name.
 """
 
 from __future__ import annotations
@@ -27,40 +27,42 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        A checker whose scene may change between calls; each call, even of a compiled function, uses the scene's current
-        state.
+        The checker. Its scene may change between calls; each call uses the scene's current state, even if the function
+        is compiled.
     softness : float
         Softness in metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to clearances in metres, shape
-        (...).
+        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to clearances in metres, an array
+        of shape (...).
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises this
-        error if configurations are not an array of float32 or float64, their width is not dof, an entry is not finite,
-        there is no pair to check, or a second derivative is requested.
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function also raises
+        this error: if its argument is not an array of float32 or float64, if the width is not dof, if an entry is not
+        finite, if there is no pair to check, or if a second derivative is requested.
     MissingExtraError
         If JAX is not installed.
 
     Notes
     -----
-    The function works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by means of
-    ``pure_callback``. A batch takes one kernel call, even under ``vmap``, and so does a value with its gradient. The
-    kernel runs on the CPU; JAX copies configurations on any other device to the CPU, and the results back. Second
-    derivatives are not supported: ``hessian`` raises an error.
+    The function supports ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``; it uses
+    ``pure_callback``. A batch takes one kernel call, even under ``vmap``. A value and its gradient together also take
+    one call. The kernel runs on the CPU: JAX copies configurations from other devices to the CPU, and copies the
+    results back. Second derivatives are not supported: ``hessian`` raises an error.
 
-    Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
-    is rounded down so that it remains a lower bound. If 64-bit numbers are disabled in JAX, as they are by default, JAX
-    converts float64 arrays to float32. The function refuses float64 arrays where it can, since the answer would hold
-    for slightly different configurations. The function cannot detect arrays that ``jit`` or ``grad`` has already
-    converted; for such arrays, the answers hold for the float32 configurations.
+    Results have the same type as the configurations. In float32, the bound holds for exactly these float32
+    configurations, and is rounded down so that it remains a lower bound.
 
-    Inside ``jit`` and ``vmap``, errors about values, such as an entry that is not finite, appear as JAX errors: a
+    By default, 64-bit numbers are disabled in JAX, and JAX converts float64 arrays to float32. The answer would then
+    hold for slightly different configurations. The function therefore refuses float64 arrays while 64-bit numbers are
+    disabled. It cannot detect arrays that ``jit`` or ``grad`` has already converted; for such arrays, the answers hold
+    for the float32 configurations.
+
+    Inside ``jit`` and ``vmap``, an error about a value, such as an entry that is not finite, becomes a JAX error: a
     ValueError or a RuntimeError that contains the message.
 
     Examples
@@ -81,7 +83,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a JAX function that computes the exact `CollisionChecker.distance`, which is not smooth everywhere.
+    """Make a JAX function that computes the exact `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -90,8 +92,8 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to distances in metres, shape
-        (...); a negative value is a depth.
+        A function that maps configurations, a JAX or NumPy array of shape (..., dof), to distances in metres, an array
+        of shape (...). A negative value is a depth.
 
     Raises
     ------
@@ -120,7 +122,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
-    """Make a JAX function of a measure; one callback returns the values, or the values with their gradients."""
+    """Make a JAX function from a measure; one callback returns the values, or the values with their gradients."""
     jax = _jax()
 
     @jax.custom_jvp
@@ -134,7 +136,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
     @values.defjvp
     def once(primals: Any, tangents: Any) -> Any:
         primal_out, gradients = with_gradients(*primals)
-        return primal_out, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent, so that JAX can transpose it
+        return primal_out, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent, as JAX requires
 
     @with_gradients.defjvp
     def twice(primals: Any, tangents: Any) -> Any:
@@ -144,7 +146,7 @@ def _differentiable(measure: Measure) -> Callable[[Any], Any]:
 
 
 def _checked(Q: Any, measure: Measure) -> Any:
-    """Convert configurations to a JAX array with exactly the given numbers."""
+    """Convert configurations to a JAX array without changing any number."""
     jax = _jax()
     if not isinstance(Q, (jax.Array, np.ndarray)):
         raise InputError(f"Q: expected an array of JAX or NumPy, found {_validate.short(Q)}")
@@ -163,7 +165,7 @@ def _checked(Q: Any, measure: Measure) -> Any:
 
 
 def _called(measure: Measure, Q: Any, gradient: bool) -> Any:
-    """Compute values and, on request, gradients: now if Q has concrete values, otherwise later, in a callback."""
+    """Compute values and, on request, gradients: immediately if Q has concrete values, otherwise in a callback."""
     jax = _jax()
 
     def call(Q: Any) -> Any:

@@ -1,7 +1,7 @@
-"""Turn a checker's clearances and distances into functions that PyTorch can differentiate.
+"""Make PyTorch functions of a checker's clearances and distances, which PyTorch can differentiate.
 
-PyTorch is imported only when a function here is called: ``pip install "loewner[torch]"``. Import this module by its
-full name, ``import loewner.torch``: ``from loewner import torch`` would hide PyTorch's own name.
+Install PyTorch with ``pip install "loewner[torch]"``; it is imported only when a function here is called. Import this
+module by its full name, ``import loewner.torch``, because ``from loewner import torch`` would hide PyTorch's own name.
 """
 
 from __future__ import annotations
@@ -27,33 +27,34 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Parameters
     ----------
     checker : CollisionChecker
-        A checker whose scene may change between calls; each call uses the scene's current state.
+        The checker. Its scene may change between calls; each call uses the scene's current state.
     softness : float
         Softness in metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        A function that maps configurations, a tensor of shape (..., dof), to clearances in metres, shape (...).
+        A function that maps configurations, a tensor of shape (..., dof), to clearances in metres, a tensor of shape
+        (...).
 
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises this
-        error if configurations are not a dense tensor of float32 or float64 on the CPU, their width is not dof, an
-        entry is not finite, there is no pair to check, or a second derivative is requested.
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function also raises
+        this error: if its argument is not a dense tensor of float32 or float64 on the CPU, if the width is not dof, if
+        an entry is not finite, if there is no pair to check, or if a second derivative is requested.
     MissingExtraError
         If PyTorch is not installed.
 
     Notes
     -----
-    The function is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp``
-    and ``jacfwd`` of ``torch.func``. A batch takes one kernel call, even under ``vmap``. Gradients are computed
-    together with the values if the gradients may be needed. Second derivatives are not supported: differentiating twice
+    The function is based on ``torch.autograd.Function``. It supports ``backward``, and ``vmap``, ``grad``, ``jacrev``,
+    ``jvp`` and ``jacfwd`` of ``torch.func``. A batch takes one kernel call, even under ``vmap``. If gradients may be
+    needed, they are computed together with the values. Second derivatives are not supported: differentiating twice
     raises an error.
 
-    Results have the type of the configurations. In float32, the bound holds for exactly the given float32 numbers, and
-    is rounded down so that it remains a lower bound.
+    Results have the same type as the configurations. In float32, the bound holds for exactly these float32
+    configurations, and is rounded down so that it remains a lower bound.
 
     Examples
     --------
@@ -73,7 +74,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a PyTorch function that computes the exact `CollisionChecker.distance`, which is not smooth everywhere.
+    """Make a PyTorch function that computes the exact `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -82,8 +83,8 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        A function that maps configurations, a tensor of shape (..., dof), to distances in metres, shape (...); a
-        negative value is a depth.
+        A function that maps configurations, a tensor of shape (..., dof), to distances in metres, a tensor of shape
+        (...). A negative value is a depth.
 
     Raises
     ------
@@ -112,7 +113,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
-    """Make a PyTorch function of a measure."""
+    """Make a PyTorch function from a measure."""
     function_class, _ = _functions()
 
     def function(Q: Any) -> Any:
@@ -142,18 +143,18 @@ def _is_differentiated(Q: Any) -> bool:
         return True
     try:
         return torch.autograd.forward_ad.unpack_dual(Q).tangent is not None
-    except RuntimeError:  # PyTorch cannot determine this within a jvp inside vmap
+    except RuntimeError:  # PyTorch cannot determine this for a jvp inside vmap
         return True
 
 
 @cache
 def _functions() -> tuple[Any, Any]:
-    """Make the two functions that PyTorch differentiates, once PyTorch is imported."""
+    """Define the two classes that PyTorch differentiates; this requires PyTorch and happens once."""
     torch = _torch()
     Function: Any = torch.autograd.Function
 
     class Asked(Function):  # type: ignore[misc]
-        """Compute the values of a measure and its gradients; gradients that are not needed have no columns."""
+        """Compute the values of a measure and their gradients; gradients that are not needed have no columns."""
 
         @staticmethod
         def forward(Q: Any, measure: Measure, gradient: bool) -> Any:
@@ -178,18 +179,21 @@ def _functions() -> tuple[Any, Any]:
         @staticmethod
         def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
             Q = Q.movedim(in_dims[0], 0)
-            # Q may need derivatives outside of vmap even if its rows inside vmap need none.
+            # Q may need derivatives outside vmap even if its rows inside vmap need none.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
     def kept(ctx: Any) -> tuple[Any, Any]:
-        """Return configurations and gradients, computing the gradients unless they were computed in advance."""
+        """Return configurations and gradients; compute the gradients unless they are already there."""
         Q, gradients = ctx.saved_tensors
         if gradients.shape != Q.shape:
             _, gradients = Asked.apply(Q, ctx.measure, True)
         return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
-        """Multiply a factor by the gradients, which depend on Q, so that a second derivative raises an error."""
+        """Multiply a factor by the gradients.
+
+        Since Q is an argument, a second derivative raises an error.
+        """
 
         generate_vmap_rule = True
 

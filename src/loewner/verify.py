@@ -1,22 +1,24 @@
-"""Check, in integers and fractions and without the rest of the library, a file that proves motions collision-free.
+"""Check a file that proves motions collision-free, in integers and fractions, without the rest of the library.
 
-This module also checks proofs that pairs of bodies are free over ranges of the joints between them, or that two bodies
-collide. The module needs only Python's standard library, and can be run by itself: ``python verify.py plan.proof``. The
-page docs/proof-format.md describes the files and shows why a file that passes is a proof. Lengths, sines and matrices
-are integers in units of 2^-72. The following bounds on rounding errors are in these units, and hold for the norms of
-vectors and matrices (the root of the sum of squares). Lengths that appear as factors are in metres.
+A file may also prove that pairs of bodies are free over ranges of the joints between them, or that two bodies collide.
+The module needs only Python's standard library, and runs alone: ``python verify.py plan.proof``. The page
+docs/proof-format.md describes the files, and shows why a file that passes is a proof.
+
+Lengths, sines and matrices are integers in units of 2^-72. The following bounds on rounding errors are in these units.
+They hold for the norms of vectors and matrices, that is, for the root of the sum of squares. Lengths that appear as
+factors are in metres.
 
 - A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
-  cosine is less than 2: a tenth for the angle, a thousandth for the series, and 1 for the result. In a joint's rotation
-  c + s e + (1 - c) e e, the terms have errors below 2, 3 and 4 in each entry, and the sum adds 1. The matrix therefore
-  has an error below 30. Multiplying by the fixed rotation and by the parent's rotation increases this to 41 for each
-  link of the chain: ``TURN``.
-- A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8, the parent's
-  rotation adds its error times l, and rounding adds 2. With E = TURN (links of the chain + 1) and the length L of the
-  chain, the error is at most E (L + 1).
-- A plane's normal n is exact, since any vector is valid. In the other body's frame, the normal has an error of 2 E |n|
-  + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies, plus |n|
-  times the errors of the placed points of both bodies. The errors of placed points are at most ``_Body.fuzz``.
+  cosine is below 2: a tenth for the angle, a thousandth for the series, and 1 for the result. A joint's rotation is c +
+  s e + (1 - c) e e, with the cosine c, the sine s and the axis e. The errors of the three terms are below 2, 3 and 4 in
+  each entry, and the sum adds 1. The matrix therefore has an error below 30. Multiplying by the fixed rotation and by
+  the parent's rotation increases the error to 41 for each link of the chain: ``TURN`` is larger.
+- A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8. The parent's
+  rotation adds its own error times l, and rounding adds 2. For a chain of k links with the total length L, the error is
+  at most E (L + 1), where E = TURN (k + 1).
+- A plane's normal n is exact, since any vector is a valid normal. In the other body's frame, the normal has an error of
+  2 E |n| + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies,
+  plus |n| times the errors of both bodies' placed points. The error of a placed point is at most ``_Body.fuzz``.
 """
 
 import argparse
@@ -61,35 +63,37 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """Contents of a verified file; `str` returns a table of them.
+    """Contents of a verified file; `str` returns them as a table.
 
     Attributes
     ----------
     model, sizes : str, and dict of str to int
-        The SHA-256 of the model, and the numbers of links, values, bodies, pieces, pairs proven apart, planes, and
-        intervals of pairs.
+        ``model`` is the SHA-256 of the model. ``sizes`` has the numbers of links, values, bodies, pieces, pairs proven
+        apart, planes, and intervals of pairs.
     margins, deviations : (float, int), and tuple of (str, float)
-        ``margins`` has the usual margin, and the number of pairs with another margin. ``deviations`` has the name of
-        each value, and how far the value may deviate.
+        ``margins`` has the usual margin, and the number of pairs with a different margin. ``deviations`` has the name
+        of each value, and how far the value may deviate.
     left_out, uncovered : tuple of (str, str), and of str
-        ``left_out`` lists pairs that the model exempts. ``uncovered`` lists bodies whose pieces do not cover their
-        interior; the planes prove nothing about such an interior.
+        ``left_out`` lists the pairs that the model exempts. ``uncovered`` lists the bodies whose interior is not
+        covered by their pieces; the planes prove nothing about such an interior.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        ``points`` has the control points of each motion. ``motions`` has the degree of each motion, and whether it
-        starts where the previous motion ends. It also has whether the control points are within the limits of the
+        ``points`` has the control points of each motion. ``motions`` has four entries for each motion: its degree,
+        whether it starts where the previous motion ends, whether its control points are within the limits of the
         values, and the number of configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
-        ``tightest`` is the check with the least room to spare: two bodies, a motion, an interval, the margin, and the
-        remaining room. If the file claims a common point, ``common`` names the two bodies that share this point.
+        ``tightest`` is the check that passes most narrowly: two bodies, a motion, the two ends of an interval, the
+        margin, and the distance by which the check passes. If the file claims a common point, ``common`` names the two
+        bodies that share it.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
-        ``rules`` lists pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
-        ``contacts`` lists two bodies, a motion, an interval, and the least distance between the bodies in metres,
-        negative for an overlap.
+        ``rules`` lists the pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
+        Each entry of ``contacts`` has two bodies, a motion, the two ends of an interval, and the least distance between
+        the bodies in metres, which is negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
-        Each entry of ``ranges``, if the file claims any, has two bodies, their margin in metres, and the values between
-        the bodies. Each value has a name, the ends of the range over which the bodies are farther apart than the
-        margin, and a flag. The flag is true if the range covers all numbers that the value can have. With ``ranges``,
-        the last five entries of ``tightest`` are the index of the pair, 0, 1, the margin, and the remaining room.
+        Each entry of ``ranges`` has two bodies, their margin in metres, and the values between the bodies; there are no
+        entries unless the file claims ranges. Each value has a name, the two ends of the range over which the bodies
+        are farther apart than the margin, and a flag. The flag is true if the range covers all numbers that the value
+        can have. With ``ranges``, the last five entries of ``tightest`` are the index of the pair, 0, 1, the margin,
+        and the distance by which the check passes.
     """
 
     model: str
@@ -108,7 +112,7 @@ class Report:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Contacts, joined across motions: two bodies, the motion and its parameter t at each end, and the distance."""
+        """Contacts, joined across motions: two bodies, motion and parameter t at both ends, and the least distance."""
         stretches, last = list[Stretch](), dict[tuple[str, str, float], int]()
         for a, b, number, since, until, least in self.contacts:
             k = last.get((a, b, least), -1)
@@ -204,13 +208,13 @@ def _product(a: Whole, b: Whole) -> Whole:
 
 
 def _cos_sin(angle: int) -> Pair:
-    """Return cosine and sine, in units, of an angle in multiples of 2^-GUARD."""
+    """Return cosine and sine, in units of 2^-BITS, of an angle in units of 2^-GUARD."""
     quarters = (2 * angle + HALF_PI) // (2 * HALF_PI)
     rest, sums = angle - quarters * HALF_PI, []
     square = rest * rest >> GUARD
     for n, term in ((0, 1 << GUARD), (1, abs(rest))):
         total, sign = 0, 1
-        while term:  # the terms alternate and decrease, so the rest of the series is less than the next term
+        while term:  # the terms alternate and decrease, so the error is less than the next term
             total += sign * term
             term, sign, n = (term * square >> GUARD) // ((n + 1) * (n + 2)), -sign, n + 2
         sums.append(total >> GUARD - BITS)
@@ -255,7 +259,7 @@ class _Reader:
 
 
 class _Link:
-    """A link: its fixed pose, exact and in units, and the axis, in units, of the joint that moves it."""
+    """A link: its fixed pose, exactly and in units of 2^-BITS, and the axis of the joint that moves it."""
 
     def __init__(self, reader: _Reader, links: "list[_Link]") -> None:
         name = _shown(reader.name())
@@ -290,8 +294,9 @@ class _Link:
         return _product(self.turn, turned), self.shift
 
     def pass_ball(self, c: Whole, radius: int, upward: bool) -> tuple[Whole, int]:
-        """Carry a ball past the joint; if the joint turns, the new radius is the largest distance from the axis."""
-        # A turned or projected center has an error of at most 3 |c| for the matrix, 2 for rounding, 2 for the shift.
+        """Carry a ball past the joint; if the joint turns, the ball's reach about the axis becomes the radius."""
+        # The error of a turned or projected center is at most 3 |c| for the matrix, 2 for rounding, and 2 for the
+        # shift.
         off = 8 + (8 * (_norm_up(c) + self.reach) >> BITS)
         if not upward:
             c = _apply(_transposed(self.turn), _sum(c, self.shift, -1))
@@ -302,7 +307,7 @@ class _Link:
 
 
 class _Body:
-    """A body: the numbers of the file, its pieces in units in the frame of its link, and a ball that contains it."""
+    """A body: its numbers in the file, a ball around it, and its pieces in units of 2^-BITS, in its link's frame."""
 
     def __init__(self, reader: _Reader, links: list[_Link]) -> None:
         self.name, (self.link, self.inside) = reader.name(), reader.take("iB")
@@ -329,9 +334,11 @@ class _Body:
                 points.setdefault(_up(radius) + own, []).append(_sum(self.shift, _apply(self.matrix, at)))
                 self.largest = max(self.largest, _norm_up(at) + ONE, _norm_up(g) + ONE)
             self.pieces.append([(kind, r, some, g and _product(self.matrix, g)) for r, some in points.items()])
-        # Matrices and points are rounded by 1 in each entry: 3 |y| + 2 |M| + 4 for M y + s, and as much for M G.
+        # Entries of matrices and points are rounded by 1. The error is 3 |y| + 2 |M| + 4 for M y + s, and the same for
+        # M G.
         self.fuzz = (10 * (self.largest + _norm_up(self.matrix)) >> BITS) + 1  # error of a placed point, and of M G
-        # The radius of a ball around a piece is the norm of the matrix, or √2 times this norm for kinds 2 and 3.
+        # The radius of a ball around a piece of kind 1 is the norm of its matrix; for kinds 2 and 3, it is √2 times
+        # this norm.
         parts = [part for piece in self.pieces for part in piece]
         balls = [(r + (_norm_up(g * min(kind, 2)) if g else 0), points) for kind, r, points, g in parts]
         low = [min(min(point[k] for point in points) - r for r, points in balls) for k in range(3)]
@@ -343,7 +350,7 @@ class _Body:
         self.radius, self.size = radius, _norm_up(self.center) + radius
 
     def support(self, part: Pair, n: Whole, norm: int) -> int:
-        """Return the largest product of n, of length at most `norm`, with a point of the given pieces, rounded up."""
+        """Return the largest product of n, whose length is at most `norm`, with a point of some pieces, rounded up."""
         (a, b, c), products = n, []
         for piece in self.pieces[part[0] : part[1]]:
             for kind, radius, points, g in piece:
@@ -355,7 +362,7 @@ class _Body:
         return max(products)
 
     def contains(self, piece: int, four: Whole, point: list[Fraction]) -> bool:
-        """Return whether four numbers show that an exact point in the frame of the link belongs to a piece."""
+        """Return whether four numbers of the file show that a point, exact in the frame of the link, is in a piece."""
         (kind, radius, numbers), one = self.kinds[piece], Fraction(1)
         if kind in (1, 2, 3):
             columns = [_moved(self.turn, numbers[k::3], (0, 0, 0)) for k in (3, 4, 5)]
@@ -387,7 +394,7 @@ def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
 
 
 def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
-    """Solve equations, given as rows that end with the right-hand side; None unless exactly one solution exists."""
+    """Solve linear equations, whose rows end with the right-hand side; None unless exactly one solution exists."""
     if not rows or len(rows[0]) == 1:
         return None if any(row[0] for row in rows) else []
     pivot = next((row for row in rows if row[0]), rows[0])
@@ -397,7 +404,7 @@ def _solved(rows: Sequence[Sequence[Fraction]]) -> list[Fraction] | None:
 
 
 class _Motion:
-    """A motion: its control points, and for each link the rates and the length of its chain, slides included."""
+    """A motion: its control points and, for each link, rates and the length of the chain, including slides."""
 
     def __init__(self, number: int, points: list[list[float]], links: list[_Link], deviations: list[float]) -> None:
         self.number, self.points, self.rates, self.lengths = number, points, list[Whole](), list[int]()
@@ -420,10 +427,10 @@ class _Motion:
 
 
 class _Box(_Motion):
-    """A pair with ranges of the values between its bodies, as a motion from the lower to the upper ends of the ranges.
+    """A pair with ranges of the values between its bodies, as a motion from the lower to the upper ends.
 
-    `paths` lists the links from each body up to the common link, which is left out. `sides` lists the values, with the
-    start and the width of each range.
+    `paths` lists, for each body, the links up to the common link, without the common link. `sides` lists the values,
+    with the start and the width of each range.
     """
 
     def __init__(
@@ -439,7 +446,7 @@ class _Box(_Motion):
         self.bends = dict[Pair, list[int]]()  # the bounds B_c
 
     def at(self, shares: Sequence[int]) -> dict[int, Pose]:
-        """Return poses of the links in the frame of the common link (-1 for the world), at shares of the ranges."""
+        """Return the links' poses in the frame of the common link (-1 for the world), at shares of the ranges."""
         share, poses = {side[0]: t for side, t in zip(self.sides, shares, strict=True)}, dict[int, Pose]()
         for path in self.paths:
             for k in reversed(path):
@@ -487,7 +494,7 @@ class _Checker:
         self.ranges = list[tuple[str, str, float, tuple[Range, ...]]]()
 
     def read_pairs(self, reader: _Reader, size: int, what: str) -> dict[Pair, float]:
-        """Read pairs of bodies, and the margin of each, or the ends at which a rule allows contact."""
+        """Read pairs of bodies, each with its margin, or with the ends at which a rule allows contact."""
         pairs: dict[Pair, float] = {}
         for _ in range(reader.count(size, what)):
             i, j = reader.take("2I")
@@ -500,7 +507,7 @@ class _Checker:
         return self.bodies[pair[0]].group != self.bodies[pair[1]].group and pair not in self.apart
 
     def read_contacts(self) -> None:
-        """Read where pairs may be in contact, and check that the rules allow it and that joined motions agree."""
+        """Read where pairs may be in contact; check that rules allow the contacts, and that joined motions agree."""
         before, listed, whole = (-1, 0, 0, 0), dict[tuple[int, Pair, int, int, float], None](), 1 << DEEPEST
         for _ in range(self.reader.count(22, "contacts")):
             (number, i, j, end, k), (least,) = self.reader.take("3I2B"), self.reader.doubles(1)
@@ -516,7 +523,7 @@ class _Checker:
                 raise Refused(f"{_shown(*self.named(pair))}: contacts in motion {number} overlap.")
             low, high = (Fraction(t, whole) for t in contacts[-1][:2])
             self.told.append((*self.named(pair), number, low, high, least))
-        for number, pair, end, _, least in listed:  # if another motion joins, the contact continues all along it
+        for number, pair, end, _, least in listed:  # if a motion joins, the contact must continue all along it
             other = number + 1 if end else number - 1
             first, last = sorted((number, other))
             joined = first >= 0 and last < len(self.points) and self.points[first][-1] == self.points[last][0]
@@ -584,22 +591,22 @@ class _Checker:
             for value, (low, high) in ends.items():
                 name, least, most = self.values[value]
                 joints = [link for link in between if link.value == value]
-                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # every denominator divides it
+                turn = max(link.by.denominator for link in joints) * 4 * (HALF_PI + 1)  # powers of two
                 whole = all(link.kind == 1 for link in joints) and _down(Fraction(high) - Fraction(low), GUARD) >= turn
                 ranges.append((name, low, high, whole or (low <= least and most <= high)))
             self.ranges.append((*self.named(pair), margin, tuple(ranges)))
         self.sizes |= {"pairs": len(self.ranges), "boxes": self.sizes.pop("intervals")}
 
     def paths(self, a: int, b: int) -> tuple[list[int], list[int]]:
-        """Return the links from each of two links up to the common link, which is left out."""
+        """Return the links from each of two links up to the common link, without the common link."""
         ups: tuple[list[int], list[int]] = ([], [])
-        while a != b:  # a link comes after the link above it, so the later of two links is not the common link
+        while a != b:  # a link comes after the link above it, so the later link is not the common link
             ups[a < b].append(max(a, b))
             a, b = (self.links[k].above if k == max(a, b) else k for k in (a, b))
         return ups
 
     def tree(self, motion: _Motion, pair: Pair) -> None:
-        """Check that a tree proves two bodies apart: its parts must cover the interval, or the box, and all pieces."""
+        """Check that a tree proves two bodies apart; its leaves must cover all pieces and the whole interval or box."""
         sides = len(motion.sides) if isinstance(motion, _Box) else 0
         spans = [(0, 1 << DEEPEST), *((0, len(self.bodies[k].pieces)) for k in pair), *[(0, 1 << DEEPEST)] * sides]
         rest = [(spans, 0)]
@@ -624,12 +631,12 @@ class _Checker:
             self.leaf(motion, pair, spans)
 
     def leaf(self, motion: _Motion, pair: Pair, spans: list[Pair]) -> None:
-        """Check that the last plane of a pair proves some pieces apart in an interval, or in a box."""
+        """Check that the last plane of a pair proves some pieces apart in an interval or in a box."""
         (first, normal), (start, end) = self.last[pair], spans[0]
         (low, high), (some, others) = (pair, spans[1:3]) if first else (pair[::-1], spans[2:0:-1])
         below, above = self.bodies[low], self.bodies[high]
         exact = [sum(a * b for a, b in zip(below.whole[k : k + 3], normal, strict=True)) for k in (0, 3, 6)]
-        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N may have any scale, and may be rounded
+        shift = BITS + 16 - max(map(abs, exact)).bit_length()  # M N may be scaled and rounded
         n = tuple(x << shift if shift > 0 else x >> -shift for x in exact)
         count = 100 + sum(b.counts[k[1]] - b.counts[k[0]] for b, k in ((below, some), (above, others)))
         self.spend(count)
@@ -670,7 +677,7 @@ class _Checker:
         self.sizes["intervals"] += 1
 
     def corners(self, box: _Box, sides: list[Pair], low: int, high: int, steps: int) -> Iterable[tuple[Pose, Pose]]:
-        """Yield poses of two links in the frame of the common link, at all corners of a part of a box."""
+        """Yield the poses of two links, in the frame of the common link, at all corners of a part of a box."""
         ends = [side if width else side[:1] for side, (_, _, width) in zip(sides, box.sides, strict=True)]
         for shares in product(*ends):
             old_count = len(box.local)
@@ -679,7 +686,7 @@ class _Checker:
             yield poses.get(low, STILL), poses.get(high, STILL)
 
     def bent(self, box: _Box, sides: list[Pair], below: int, high: int) -> int:
-        """Return the sum of B_c (2 h_c)^2 / 8 over a part of a box, for a body seen from a link, rounded up."""
+        """Return the sum of B_c (2 h_c)^2 / 8 over a part's sides, for a body seen from a link, rounded up."""
         if (below, high) not in box.bends:
             joints, bends = self.moving(box, below, high), list[int]()
             for value, _, _ in box.sides:
@@ -697,7 +704,7 @@ class _Checker:
         return total
 
     def poses(self, motion: _Motion, t: int) -> list[Pose]:
-        """Return the poses of all links and, at the end, of the world (number -1); values by de Casteljau's scheme."""
+        """Return the poses of all links and, last, of the world (number -1); de Casteljau's scheme gives the values."""
         if t in motion.poses:
             return motion.poses[t]
         share, values, poses, count = Fraction(t, 1 << DEEPEST), [], list[Pose](), len(motion.points)
@@ -716,9 +723,9 @@ class _Checker:
         return motion.poses[t]
 
     def moving(self, motion: _Motion, below: int, high: int) -> list[tuple[int, bool, int]]:
-        """Return the joints between a link and a body: the link, whether it turns, R_j or the length of the axis."""
+        """Return the joints between a link and a body: link, whether it turns, and R_j or the length of the axis."""
         key, above, center = (below, high), self.bodies[high].link, self.bodies[high].center
-        if key not in self.balls:  # the links in between, body first, and the body's reach about each, without slides
+        if key not in self.balls:  # links in between, body first, and the body's reach about each, without slides
             up, down = self.paths(above, below)
             self.balls[key], radius = [], self.bodies[high].radius
             self.spend(100 * len(up + down))
@@ -747,7 +754,7 @@ class _Checker:
 
 
 def verify(data: bytes) -> Report:
-    """Check a proof, and raise `Refused` if the file is not a proof.
+    """Check a proof; raise `Refused` if the file is not a proof.
 
     Parameters
     ----------
@@ -795,7 +802,7 @@ def verify(data: bytes) -> Report:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check a file and print its claim; return 0 for a proof that bodies are free, 2 for an unreadable file, else 1."""
+    """Check a file and print its claim; return 0 if bodies are proven free, 2 if the file is unreadable, else 1."""
     parser = argparse.ArgumentParser(description="Check a proof: motions, ranges or bodies are free, or two collide.")
     parser.add_argument("file", type=Path)
     path = parser.parse_args(argv).file
@@ -808,7 +815,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = sys.stdout.encoding or "utf-8"
         print(f"{report}\nverified".encode(code, "backslashreplace").decode(code), flush=True)
-    except BrokenPipeError:  # the reader has gone, and Python would fail again when it closes standard output
+    except BrokenPipeError:  # the reader is gone, and Python would fail again when it closes standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1 if report.common else 0
 

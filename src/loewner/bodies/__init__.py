@@ -1,12 +1,12 @@
 """Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
 
 A `Body` is one union; `Bodies` packs a sequence of bodies for batched queries. Both are read-only. `body` defines these
-two classes, and `pack` and `layout` define the arrays behind them. `primitives` and `kinds` handle curved pieces;
-`surfaces` and `surface_trees` handle pieces made of triangles. `flat_faces` finds coplanar triangles, `boxes` orients
-bounding boxes, and `parts` cuts surfaces into parts, which proofs replace with hulls. `triangulated` makes triangles
-for pictures, `sensed` makes clouds, voxels and terrain, and `depth_images` makes points from depth images. `files`,
-`native_files`, `octrees` and `exports` handle file formats, and `checks` checks arrays from files. `cover_fits`,
-`cover_proofs` and `elements` cover a body with few elements.
+two classes, and `pack` and `layout` define the arrays behind them. `primitives` and `kinds` make curved pieces;
+`surfaces` and `surface_trees` make pieces that consist of triangles. `flat_faces` finds coplanar triangles, and `boxes`
+orients bounding boxes. `parts` cuts surfaces into parts, which proofs replace with their hulls. `triangulated` makes
+triangles for pictures, `sensed` makes clouds, voxels and terrain, and `depth_images` makes points from depth images.
+`files`, `native_files`, `octrees` and `exports` read and write files, and `checks` checks arrays from files.
+`cover_fits` covers a body with a few elements; `cover_proofs` and `elements` prove that the elements contain the body.
 """
 
 from loewner.bodies.body import (

@@ -33,7 +33,7 @@ from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.meshes import decomposition as meshes
 from loewner.meshes.coverage import Covering, CoverReport
 
-# Longest edge of a half-space's cube [m]; contact is accurate to about 1e-12 of the edge.
+# Longest allowed edge of the cube that represents a half-space [m]; contact is accurate to about 1e-12 of the edge.
 LARGEST_EXTENT = 1e9
 
 
@@ -44,20 +44,19 @@ class Piece(_validate.Brief, KeepsReadOnly):
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere". `Body.from_surface` makes pieces of kind
-        "surface" (triangles alone) or "solid" (triangles and the space that they enclose).
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; or, for a piece made by `Body.from_surface`,
+        "surface" (only the triangles) or "solid" (the triangles and the space that they enclose).
     vertices : ndarray, shape (v, 3), or None
         Extreme points of a polytope, or vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
-        Unit outward normals and offsets of a polytope's faces; the polytope is the set of x with normals @ x <=
-        offsets.
+        Unit outward normals and offsets of a polytope's faces; the polytope is {x : normals @ x <= offsets}.
     triangles : ndarray of int, shape (t, 3), or None
         Indices into `vertices`. The triangles of a polytope's surface are counter-clockwise when seen from outside; the
         triangles of a surface are oriented as in the mesh.
     inner, outer : Ellipsoids
-        The largest ellipsoid inside the piece and the smallest one around it. The inner ellipsoid of a surface is not
-        the largest possible; without a radius, an open surface has a point as its inner ellipsoid, with semi-axes of
-        zero.
+        The largest ellipsoid inside the piece, and the smallest ellipsoid around it. The inner ellipsoid of a surface
+        is smaller than the largest possible. For an open surface without a radius, the inner ellipsoid is a point: its
+        semi-axes are zero.
     inner_gap, outer_gap : float
         Certified bounds on how far the log-volume of each ellipsoid is from the optimum. The inner ellipsoid of a
         surface has no such bound; its `inner_gap` is 0.
@@ -100,7 +99,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; the ellipsoid of an open surface without a radius is a point."""
+        """Inner ellipsoids, one row per piece; for an open surface without a radius, the inner ellipsoid is a point."""
         return trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
@@ -110,7 +109,7 @@ class _Bodies:
 
     @property
     def gaps(self) -> Floats:
-        """Certified log-volume gaps (inner, outer) of the fits, shape (pieces, 2)."""
+        """Certified log-volume gaps of the inner and outer fits, shape (pieces, 2)."""
         return self._packed.gaps
 
     @property
@@ -124,7 +123,9 @@ class _Bodies:
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Save to a versioned file without pickle; the file is written under a temporary name, then renamed.
+        """Save to a versioned file without pickles.
+
+        The file is written under a temporary name and then renamed.
 
         Parameters
         ----------
@@ -178,7 +179,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """How well the pieces cover the mesh or body from which they were made; None if this was not measured."""
+        """How well the pieces cover the mesh or body that they approximate; None if this was not measured."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -242,8 +243,7 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there are no point sets, or if the points of a set are coplanar; the message gives the number of that
-            set.
+            If there are no point sets, or if the points of a set are coplanar; the message gives the index of that set.
 
         Examples
         --------
@@ -278,8 +278,8 @@ class Body(_Bodies):
         source : path, trimesh.Trimesh or trimesh.Scene
             The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres.
         decompose : bool
-            If true, split a non-convex mesh into convex pieces, with CoACD or by cutting along planes; the pieces
-            approximate the mesh, and `body.covering` states how well. If false, use the convex hull, which contains the
+            If true, split a non-convex mesh into convex pieces, with CoACD or by cutting along planes. The pieces only
+            approximate the mesh; `body.covering` states how well. If false, use the convex hull, which contains the
             mesh.
         tol : float
             Upper limit on the certified log-volume gap of every fit.
@@ -288,32 +288,33 @@ class Body(_Bodies):
         cover : bool
             Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
-            The largest distance by which the pieces may stick out of the mesh, in metres. If a tolerance is given, the
-            mesh is cut along planes, without CoACD, until no piece sticks out farther than the tolerance or
-            `max_pieces` is reached. If a piece still sticks out farther, a warning gives the distance. A mesh with
-            holes is always cut along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or
-            more if 2 % would take too much work.
+            The largest distance by which the pieces may stick out of the mesh, in metres. With a tolerance, the mesh is
+            cut along planes, without CoACD. The cutting ends when no piece sticks out farther than the tolerance, or
+            when there are `max_pieces` pieces. If a piece still sticks out farther, a warning gives the distance. A
+            mesh with holes is always cut along planes. Its default tolerance is 2 % of the diagonal of the bounding
+            box, or more if 2 % would take too much work.
         threshold : float
-            CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
-            applies only to meshes without holes.
+            CoACD's bound on concavity, from 0.01 to 1; used only for meshes without holes. A smaller bound gives more
+            pieces and a closer fit.
         max_pieces : int, optional
             Limit on the number of pieces of a decomposition.
         seed : int
             Seed of CoACD's search.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step; the ratio done / total never decreases. If the mesh is
-            cut along planes, each step stands for a hundredth of its surface. The last step comprises all fits.
+            cut along planes, each step stands for a hundredth of its surface. All ellipsoids are fitted in the last
+            step.
 
         Raises
         ------
         FileError
             If the file is missing, empty, truncated or not a mesh.
         MissingExtraError
-            If a required package of the extra "meshes" is missing.
+            If a required package of the ``meshes`` extra is missing.
 
         See Also
         --------
-        loewner.meshes.convex_pieces : Make the pieces alone, with details of the method.
+        loewner.meshes.convex_pieces : Make only the pieces; its documentation describes the method.
 
         Examples
         --------
@@ -346,8 +347,8 @@ class Body(_Bodies):
     ) -> Body:
         """Make a body from the triangles of a mesh, without decomposition or approximation.
 
-        Every triangle is treated as a convex piece: a flat core with a radius. The mesh may have holes, and its
-        triangles may be duplicated, flipped, degenerate or intersecting. docs/surfaces.md explains when to use this
+        Every triangle is treated as a convex piece: a flat core, thickened by a radius. The mesh may have holes, and
+        its triangles may be duplicated, flipped, degenerate or intersecting. docs/surfaces.md explains when to use this
         method and when to use `from_mesh`.
 
         Parameters
@@ -358,10 +359,10 @@ class Body(_Bodies):
         radius : float
             Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional
-            Whether the body includes the enclosed space, that is, all points around which the mesh winds. A body inside
-            a solid collides with it; a body in a cavity of the solid does not. By default a mesh is solid if it is
-            closed, that is, if its triangles traverse each edge equally often in both directions. A mesh that is only
-            nearly closed causes a warning and counts as open.
+            Whether the body includes the enclosed space, that is, all points around which the mesh winds. A solid
+            collides with a body inside it, but not with a body in one of its cavities. By default, a mesh is solid if
+            it is closed, that is, if its triangles traverse each edge equally often in both directions. A mesh that is
+            only nearly closed causes a warning and counts as open.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one factor for each axis of the mesh; a negative factor mirrors the mesh.
 
@@ -371,7 +372,7 @@ class Body(_Bodies):
             If the file is missing, empty, truncated or not a mesh.
         GeometryError
             If a vertex is not finite, an index is out of range, there are no triangles, or a size is not between 1e-12
-            and 1e12 m. With ``solid=True``, an open mesh also raises this error; the message locates an open edge.
+            and 1e12 m. With ``solid=True``, also if the mesh is open; the message locates an open edge.
         InputError
             If the radius is negative or not finite.
 
@@ -410,8 +411,8 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is so small relative to another length (about 1e-12) that it is lost in rounding, or if a length
-            is not between 1e-30 and 1e30 m.
+            If the ratio of two lengths is so small (about 1e-12) that the shorter length is lost in rounding, or if a
+            length is not between 1e-30 and 1e30 m.
 
         Examples
         --------
@@ -419,7 +420,8 @@ class Body(_Bodies):
         array([5.19615242])
         """
         half = _validate.positive_array(size, "size", (3,)) / 2
-        # The fits of a box are known in closed form; only containment after rounding needs care (docs/containment.md).
+        # The ellipsoids of a box have a closed form. They are adjusted so that containment also holds after rounding
+        # (docs/containment.md).
         F = np.diag(half)
         inner = np.zeros((1, 3)), F[None] * (1 - CLOSED_FORM_ROUNDING)
         outer = np.zeros((1, 3)), F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING))
@@ -471,7 +473,7 @@ class Body(_Bodies):
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
-        """Make a union of balls, one piece per ball; for many balls of one radius, see `from_cloud`.
+        """Make a union of balls, one piece per ball; for many balls of equal radius, see `from_cloud`.
 
         Parameters
         ----------
@@ -505,15 +507,15 @@ class Body(_Bodies):
         centers : array_like, shape (n, 3)
             Centers in metres.
         edges : float, or array_like of shape (3,) or (n, 3)
-            Full edge lengths along x, y and z, in metres: one number for equal cubes, one row for equal boxes, or one
-            row per box.
+            Full edge lengths along x, y and z, in metres: one number if all boxes are equal cubes, one row if all boxes
+            are equal, or one row per box.
 
         Raises
         ------
         InputError
             If shapes are wrong, entries are not finite, or lengths are not positive.
         GeometryError
-            If there are no boxes, or an edge is too short to be resolved at its distance from the origin.
+            If there are no boxes, or if an edge is so short, and so far from the origin, that it is lost in rounding.
 
         Examples
         --------
@@ -535,20 +537,20 @@ class Body(_Bodies):
         radius : float, optional
             Radius of the ball around each point, in metres. Making a body from 50,000 points takes about 40 ms.
         voxel : float, optional
-            Edge length of the cells of a grid aligned with the origin, in metres. The occupied cells form the body, as
-            in `from_voxels`. Give either `voxel` or `radius`.
+            Edge length, in metres, of the cells of a grid with a corner at the origin. The cells that contain points
+            form the body, as in `from_voxels`. Give either `voxel` or `radius`.
 
         Returns
         -------
         Body
-            With `radius`, one piece with a tree over the points; with `voxel`, boxes as in `from_voxels`. FREE is
-            proven for the exact union of balls or voxels.
+            With `radius`, a body of one piece, with a search tree over the points; with `voxel`, a body of boxes, as in
+            `from_voxels`. FREE is proven for the exact union of balls or voxels.
 
         Raises
         ------
         InputError
-            If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or if
-            both or neither of `radius` and `voxel` are given.
+            If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or
+            unless exactly one of `radius` and `voxel` is given.
         GeometryError
             If there are no points.
 
@@ -580,7 +582,7 @@ class Body(_Bodies):
         q: ArrayLike | None = None,
         clear: float = 0.03,
     ) -> Body:
-        """Make a body in world coordinates from the points of a depth image, without points on the robot.
+        """Make a body in world coordinates from the points of a depth image, leaving out points on the robot.
 
         Parameters
         ----------
@@ -594,9 +596,9 @@ class Body(_Bodies):
             The robot's configuration when the image was taken.
         clear : float
             Points within this distance of the robot, in metres, are left out; without a checker, `clear` has no effect.
-            The distance must exceed the camera's noise plus the error of the robot's pose, so that no point on the
-            robot is kept. The distance must also exceed the margin plus the radius or the voxel's diagonal, so that the
-            robot does not collide with the body.
+            To leave out all points on the robot, the distance must exceed the camera's noise plus the error of the
+            robot's pose. To keep the robot from colliding with the body, the distance must also exceed the margin plus
+            the radius or the voxel's diagonal.
 
         Raises
         ------
@@ -633,12 +635,12 @@ class Body(_Bodies):
         Parameters
         ----------
         grid : array_like of bool, shape (p, q, r)
-            True for occupied cells; if you have probabilities, compare them with a threshold first.
+            True for occupied cells. Compare probabilities with a threshold first.
         size : float
             Edge of a cell, in metres.
         origin : array_like, shape (3,)
-            The lowest corner of cell (0, 0, 0), in metres; the lowest corner of cell (i, j, k) is origin + size (i, j,
-            k).
+            The lowest corner of cell (0, 0, 0), in metres. The lowest corner of cell (i, j, k) is origin + size · (i,
+            j, k).
 
         Raises
         ------
@@ -699,13 +701,14 @@ class Body(_Bodies):
         Parameters
         ----------
         heights : array_like, shape (p, q)
-            Heights in metres, at least two along each axis; ``heights[i, j]`` is the height at x = i spacing, y = j
+            Heights in metres, at least two along each axis; ``heights[i, j]`` is the height at x = i · spacing, y = j ·
             spacing.
         spacing : float, or array_like of shape (2,)
             Distance between neighbouring heights along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres; it must be below all `heights`. The default is the lowest height
-            minus the longer side of the grid, so that no body can pass through the terrain from above undetected.
+            minus the length of the grid's longer side. With this thickness, a body that sinks into the terrain from
+            above does not come out below unnoticed.
 
         Raises
         ------
@@ -736,15 +739,16 @@ class Body(_Bodies):
         Parameters
         ----------
         normal : array_like, shape (3,)
-            The outward normal, of any nonzero length. If n is the normal scaled to length 1, the body lies in {x : n ·
+            The outward normal, of any nonzero length. With n, the normal scaled to length 1, the body lies in {x : n ·
             x <= offset}.
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
             Edge length of the cube, in metres, at most 1e9. One face of the cube lies in the plane, centered at the
-            plane's point nearest to the origin. Everything outside the cube is free, so choose a cube larger than the
-            range of the moving bodies. Contact is accurate to about 1e-12 times the extent. The ellipsoid around the
-            cube reaches beyond each face by 0.37 times the extent; for `CollisionChecker.clearance`, use a thin box.
+            plane's point nearest to the origin. Everything outside the cube is free, so the cube must be larger than
+            the range of the moving bodies. Contact is accurate to about 1e-12 times the extent. The ellipsoid around
+            the cube reaches beyond each face by 0.37 times the extent. For `CollisionChecker.clearance`, which uses
+            this ellipsoid, use a thin box instead.
 
         Raises
         ------
@@ -798,12 +802,12 @@ class Body(_Bodies):
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
-        """Make a cone with its axis along z, its apex at z = +length/2 and its base at z = -length/2.
+        """Make a cone with its axis along z; its apex is at z = +length/2, and its base at z = -length/2.
 
         Parameters
         ----------
         radius, length : float
-            Radius of the base, and length from base to apex, in metres.
+            Radius of the base, and distance from base to apex, in metres.
 
         Raises
         ------
@@ -907,17 +911,18 @@ class Body(_Bodies):
         model : Body
             Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
         tolerance : float, optional
-            The proof divides the body into cells. A cell that no single element contains is halved until it is as small
-            as this tolerance, in metres; the default is 1e-4 of the body's diagonal. Holes of any size are noticed: for
-            a hole smaller than the tolerance, the outcome is "undecided" or "uncovered", never "covered".
+            The proof divides the body into cells, and halves each cell that no single element contains, until the cell
+            is as small as this tolerance, in metres. The default is 1e-4 of the body's diagonal. Holes of any size
+            prevent the outcome "covered": for a hole smaller than the tolerance, the outcome is "undecided" or
+            "uncovered".
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
         Returns
         -------
         CoverReport
-            The outcome, with bounds on the uncovered share of the body's surface, on how far the body sticks out of the
-            model, and on how far the model sticks out of the body.
+            The outcome, with bounds on three quantities: the uncovered share of the body's surface, how far the body
+            sticks out of the model, and how far the model sticks out of the body.
 
         Raises
         ------
@@ -926,8 +931,8 @@ class Body(_Bodies):
 
         Notes
         -----
-        An open surface consists only of its triangles, with their radius; solids and convex pieces include their
-        interior. docs/containment.md gives the proof.
+        An open surface consists only of its triangles, thickened by their radius; solids and convex pieces include
+        their interior. docs/containment.md gives the proof.
 
         Examples
         --------
@@ -959,24 +964,25 @@ class Body(_Bodies):
         ----------
         kind : {"spheres", "capsules", "boxes", "ellipsoids"}
         n : int, optional
-            Upper limit on the number of elements; the search makes the elements stick out as little as possible.
+            Upper limit on the number of elements. Within this limit, the search makes the elements stick out as little
+            as possible.
         protrusion : float, optional
-            The largest distance by which an element may stick out of the body, in metres; the search uses as few
-            elements as possible. Give either `n` or ``protrusion``.
+            The largest distance by which an element may stick out of the body, in metres. Within this distance, the
+            search uses as few elements as possible. Give either `n` or ``protrusion``.
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
         Returns
         -------
         Body
-            One piece per element. The body's `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is at
-            most ``protrusion`` if given. Centers and radii of spheres are multiples of a power of two, so that float32
-            and the decimals in files represent them exactly.
+            A body with one piece per element. Its `covering` is proven: `max_uncovered` is 0, and `max_protrusion` is
+            at most ``protrusion`` if ``protrusion`` is given. Centers and radii of spheres are multiples of a power of
+            two, so that float32 and the decimals in files represent them exactly.
 
         Raises
         ------
         InputError
-            If both or neither of `n` and ``protrusion`` are given, if `n` is less than 1, or if ``protrusion`` is less
+            Unless exactly one of `n` and ``protrusion`` is given; or if `n` is less than 1, or ``protrusion`` is less
             than 1e-4 of the body's diagonal.
         GeometryError
             If the search finds no elements within the given limit.
@@ -1004,10 +1010,10 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         name: str = "body",
     ) -> str:
-        """Write the body as a MuJoCo model: one body without joints, with one geom per piece.
+        """Write the body as a MuJoCo model that has one body without joints, with one geom per piece.
 
-        A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh whose
-        vertices are written into the model; a cone is replaced with a circumscribed polytope.
+        A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh, whose
+        vertices are part of the model file; for a cone, the mesh is a circumscribed polytope.
 
         Parameters
         ----------
@@ -1016,7 +1022,7 @@ class Body(_Bodies):
         ellipsoids : {"inner", "outer"}, optional
             Which ellipsoids to write instead of the pieces.
         name : str
-            Name of the model and of its body: any name except "world", which MuJoCo reserves; geoms are named
+            Name of the model and of its body: any name except "world", which MuJoCo reserves. The geoms are named
             ``NAME_0``, ``NAME_1``, ...
 
         Returns
@@ -1060,17 +1066,17 @@ class Body(_Bodies):
     ) -> None:
         """Write the body as a URDF with a single link that has only collision shapes.
 
-        Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
-        a mesh in a file ``STEM-DIGEST.obj`` next to the URDF, where DIGEST is a digest of the file's content. Inner
-        ellipsoids are replaced with inscribed polytopes; other ellipsoids and cones are replaced with circumscribed
-        polytopes.
+        Boxes, spheres and cylinders keep their shapes, and a capsule becomes a cylinder and two spheres. Any other
+        piece becomes a mesh in a file ``STEM-DIGEST.obj`` next to the URDF, where DIGEST is a digest of the file's
+        content. For an inner ellipsoid, the mesh is an inscribed polytope; for any other ellipsoid and for a cone, it
+        is a circumscribed polytope.
 
         Parameters
         ----------
         path : path
             Any extension is allowed; the stem names both the robot and its link. The mesh files are written first; then
-            the URDF is written under a temporary name and renamed. A mesh file is never replaced with different
-            content, so that an older URDF, or a copy of it, keeps its meshes.
+            the URDF is written under a temporary name and renamed. A mesh file is never overwritten with different
+            content, so that the meshes of an older URDF, or of a copy of it, do not change.
         ellipsoids : {"inner", "outer"}, optional
             Which ellipsoids to write instead of the pieces.
         mesh_prefix : str
@@ -1097,7 +1103,9 @@ class Body(_Bodies):
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
     def to_stl(self, path: str | os.PathLike[str]) -> None:
-        """Write the pieces to a binary STL file in metres, as one closed mesh per convex piece; meshes may overlap.
+        """Write the pieces to a binary STL file, in metres.
+
+        Each convex piece becomes a closed mesh; the meshes may overlap.
 
         Parameters
         ----------
@@ -1114,7 +1122,7 @@ class Body(_Bodies):
         Notes
         -----
         Coordinates are rounded to single precision, and the triangles of curved pieces lie inside the pieces. A body
-        made by `Robot.swept` is written without any change.
+        made by `Robot.swept` is written exactly.
 
         Examples
         --------
@@ -1130,19 +1138,19 @@ class Body(_Bodies):
         exports.save_stl(self._packed, file)
 
     def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
-        """Triangulate the pieces or ellipsoids, for trimesh to display or to write as GLB, STL or another format.
+        """Triangulate the pieces or ellipsoids for trimesh, which can display them or write them as GLB, STL and so on.
 
         Parameters
         ----------
         what : {"pieces", "inner", "outer"}
-            What to triangulate. The triangles of a curved piece have their corners on its surface and therefore lie
-            inside it. A circle becomes a polygon of 48 corners; an ellipsoid has at most 1280 triangles.
+            What to triangulate. The corners of the triangles are on the surface of a curved piece, so the triangles lie
+            inside the piece. A circle becomes a polygon with 48 corners; an ellipsoid has at most 1280 triangles.
 
         Returns
         -------
         trimesh.Scene
-            One mesh per piece, named ``piece_0``, ``piece_1``, ...; ``.to_mesh()`` joins them. An open surface without
-            a radius has no inner ellipsoid, and is left out if `what` is "inner".
+            One mesh per piece, named ``piece_0``, ``piece_1``, ...; ``.to_mesh()`` joins the meshes. If `what` is
+            "inner", an open surface without a radius is left out, since its inner ellipsoid is a point.
 
         Raises
         ------
@@ -1189,7 +1197,7 @@ class Body(_Bodies):
 
 @guarded
 class Bodies(_Bodies):
-    """A packed sequence of n bodies, which is broadcast along the last batch axis of the poses.
+    """A packed sequence of n bodies, which broadcasts with the last batch axis of the poses.
 
     Parameters
     ----------
@@ -1216,7 +1224,7 @@ class Bodies(_Bodies):
     def from_points(
         cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4, progress: Progress | None = None
     ) -> Bodies:
-        """Make one convex body per point set; the hulls and fits are computed together, on all threads.
+        """Make one convex body per point set; all hulls and fits are computed together, on all threads.
 
         Parameters
         ----------
@@ -1229,7 +1237,7 @@ class Bodies(_Bodies):
         Raises
         ------
         GeometryError
-            If a set is flat or too small; the message gives the number of the set.
+            If a set is flat or has fewer than four points; the message gives the index of the set.
 
         Examples
         --------
@@ -1367,7 +1375,7 @@ def packed_of(bodies: Body | Bodies) -> Packed:
 def reach_of(bodies: Body | Bodies) -> float:
     """Bound the distance from the origin of each body to its points [m], at any pose that is accepted as rigid.
 
-    Surfaces and clouds with a radius count without it, since a turn moves a ball no farther than its center.
+    The radius of a surface or cloud does not count, since a rotation moves a ball no farther than its center.
     """
     packed = packed_of(bodies)
     if (packed.layout[:, columns.KIND] <= columns.POLYTOPE).all():
@@ -1378,7 +1386,7 @@ def reach_of(bodies: Body | Bodies) -> float:
 
 
 def body_of_polytopes(polytopes: Sequence[Polytope], covering: Covering | None, tol: float) -> Body:
-    """Make a body of polytopes whose ellipsoids have log-volume gaps of up to `tol`."""
+    """Make a body of polytopes, and fit their ellipsoids with log-volume gaps of up to `tol`."""
     return Body(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
 

@@ -12,20 +12,21 @@ from loewner._base._validate import Floats
 # Largest number of triangles used to choose an orientation.
 MOST_ASKED = 512
 
-# Number of longest edges of a hull along which a box is tried.
+# A box is tried along each of this many longest edges of a hull.
 MOST_EDGES = 8
 
-# Thickness assumed for a flat box, relative to its longest side, so that the shorter of two equal areas is chosen.
+# Every side of a box counts as longer by this share of the longest side. Between two flat boxes of equal area, the more
+# compact one is then chosen.
 THICKNESS = 0.01
 
 
 def least_box_axes(triangles: Floats) -> Floats:
-    """Return, as columns, the axes of the box around triangles that has the least surface area among the boxes tried.
+    """Try several boxes around triangles, and return the axes of the box with the least surface area, as columns.
 
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
-        The first axis is for the coordinates x, y and z. A point is passed as a triangle with one corner.
+        Coordinates x, y and z of the corners. A point is passed as a triangle with one corner.
 
     Returns
     -------
@@ -40,12 +41,12 @@ def least_box_axes(triangles: Floats) -> Floats:
 
 
 def _turns(triangles: Floats) -> Floats:
-    """List candidate box axes, shape (k, 3, 3): the axes of the frame, the principal axes, and axes along faces.
+    """List candidate axes of boxes, shape (k, 3, 3): the axes of the frame, the principal axes, and axes along a face.
 
-    For axes along faces, one axis is the normal of the largest triangle. All points are projected along that normal,
-    and a second axis is along an edge of their hull: the smallest rectangle around points in a plane has a side along
-    such an edge (Freeman and Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve,
-    1975).
+    The axes along a face begin with the normal of the largest triangle. All points are projected along this normal. The
+    second axis follows an edge of the hull of the projections, because the smallest rectangle around points in a plane
+    has a side along an edge of their hull (Freeman and Shapira: Determining the minimum-area encasing rectangle for an
+    arbitrary closed curve, 1975).
     """
     points = triangles.reshape(3, -1)
     off = points - points.mean(axis=1, keepdims=True)
@@ -66,13 +67,16 @@ def _turns(triangles: Floats) -> Floats:
 
 @cache
 def _looks() -> Floats:
-    """Return directions, shape (2, k), whose farthest points approximate a hull; importing a hull library is slower."""
+    """Return directions, shape (2, k). The farthest points in these directions approximate a hull.
+
+    An exact hull would need SciPy, whose import takes longer than this search.
+    """
     angles = np.arange(64) * (np.pi / 32)
     return np.stack([_elementary.cos(angles), _elementary.sin(angles)])
 
 
 def _directions(points: Floats) -> Floats:
-    """Find unit vectors, shape (k, 2), along the longest edges of an approximate hull of points in a plane."""
+    """Find unit vectors, shape (k, 2), along the longest edges of the approximate hull of points in a plane."""
     rim = points[(points @ _looks()).argmax(axis=0)]
     edges = np.roll(rim, -1, axis=0) - rim
     lengths = np.linalg.norm(edges, axis=1)

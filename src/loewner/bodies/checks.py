@@ -1,12 +1,12 @@
-"""Before a kernel reads arrays from a file, check every property of bodies on which a verdict depends.
+"""Check every property on which a verdict depends, before a kernel reads the arrays of a file.
 
-A file is untrusted data: an attacker can compute its checksum too. A property is therefore checked if its violation
-could let a kernel read past an array, loop forever, or return a wrong FREE. Every law that saved files obey is tested,
-with tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`), so that a file written by any version of
-loewner passes.
+A file is untrusted, even if its checksum is right: an attacker can compute checksums, too. A property is therefore
+checked if its violation could let a kernel read past an array, loop forever, or return a wrong FREE. The tests have
+tolerances for their own rounding (`DOUBT`, `ROUNDINGS`), so that a file written by any version of loewner passes.
 
-One property cannot be tested without fitting again: whether the inner ellipsoids are the largest and the outer ones the
-smallest. This property determines the last digits of `gaps` and how tight the bounds are, but no verdict depends on it.
+One property cannot be tested without fitting again: whether the inner ellipsoids are the largest and the outer
+ellipsoids the smallest. No verdict depends on this property. It only determines how tight the bounds are, and the last
+digits of `gaps`.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
-# Relative tolerance of the tests: DOUBT plus ROUNDINGS times the aspect ratio of the piece, but at most MOST_DOUBT. The
-# second term is for thin pieces, whose coordinates have fewer accurate digits relative to their thickness.
+# The relative tolerance of the tests is DOUBT plus ROUNDINGS times the aspect ratio of the piece, but at most
+# MOST_DOUBT. The second term is for thin pieces: relative to their thickness, their coordinates have fewer accurate
+# digits.
 DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 
-# Largest aspect ratio of an ellipsoid that can be inverted in float64; polytopes this flat are refused when made.
+# Largest aspect ratio of an ellipsoid that can be inverted in float64. Polytopes as flat as this cannot be made.
 MOST_ASPECT = 1e15
 
 # Vectors below this length, in units of an inner ellipsoid, have no reliable direction: their squares may underflow.
 SHORTEST = 1e-100
 
-# Share by which poses may stretch the ellipsoids of capsules and spheres; the stored radius stays the same.
+# Share by which poses may have stretched the ellipsoids of capsules and spheres. The stored radius is not stretched.
 BEND = 4 * tolerances.ROTATION_TOLERANCE
 
-# BLOCK is the approximate number of points and planes in a block of polytopes, and AT_ONCE the approximate number of
+# BLOCK is the approximate number of points and planes in a block of polytopes. AT_ONCE is the approximate number of
 # products computed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
@@ -47,11 +48,11 @@ BLOCK, AT_ONCE = 1 << 14, 1 << 16
 MOST_SKEW = 1e-4
 
 # Limit on the average number of candidates per plane and vertex in the search for farthest vertices of large polytopes.
-# The direction map leaves about forty candidates per plane; if the points are not vertices of a hull, it could leave
-# all of them.
+# The direction map leaves about forty candidates per plane. If the points of a file are not the vertices of a hull, the
+# map could leave all points.
 MOST_CANDIDATES = 512
 
-# Expected shapes; the letters stand for the numbers of pieces, bodies, points, planes and triangles.
+# Expected shapes. P, n, V, F and T are the numbers of pieces, bodies, points, planes and triangles.
 EXPECTED: dict[str, tuple[int | str, ...]] = {
     "layout": ("P", 5),
     "points": ("V", 3),
@@ -71,7 +72,7 @@ assert tuple(EXPECTED) == ARRAYS
 
 
 def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not match, before their numbers are read."""
+    """Refuse arrays whose shapes do not match; this happens before the numbers are read."""
     P = found["layout"][0] if found["layout"] else -1
     counts = {"P": P, "P + 1": P + 1}
     for name, shape in EXPECTED.items():
@@ -118,7 +119,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
     """Check that all numbers are finite, and so small that no product of three of them overflows."""
     for name in ARRAYS:
         array, most = arrays[name], np.inf if name == "gaps" else 10 * LARGEST
-        # If any number is NaN, so are the largest and the smallest number, and both comparisons fail.
+        # If any number is NaN, the largest and the smallest number are NaN as well, and both comparisons fail.
         if name not in INTEGERS and array.size and not (array.max() < most and array.min() > -most):
             largest = np.abs(array).reshape(len(array), -1).max(axis=1)
             _refuse(~(largest < most), f"{name}: expected finite numbers below {most:g}", largest)
@@ -128,7 +129,7 @@ def _check_numbers(arrays: dict[str, Any]) -> None:
 
 
 def _rises(name: str, x: Ints, total: int, least: int) -> None:
-    """Check that the starts of ranges rise from 0 to the total, and that no range is shorter than `least`."""
+    """Check that the starts of ranges rise from 0 to `total`, and that no range is shorter than `least`."""
     # The starts are compared, not subtracted, because the difference of extreme numbers may overflow.
     bad = np.concatenate([[x[0] != 0], (x[1:] < x[:-1]) | (x[1:] > total)])
     _refuse(bad, f"{name}: expected numbers that rise from 0 to {total}", x)
@@ -182,7 +183,7 @@ def _doubt(aspect: Floats) -> Floats:
 
 
 def _check_polytopes(p: PieceArrays) -> Maps:
-    """Check that hulls lie between their inner and outer ellipsoids, and match their triangles and planes."""
+    """Check that polytopes lie between their inner and outer ellipsoids, and match their triangles and planes."""
     layout = p.layout
     rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
     _refuse(p.frames[rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
@@ -190,7 +191,7 @@ def _check_polytopes(p: PieceArrays) -> Maps:
         return {}
     # The polytopes are checked in blocks, so that intermediate arrays stay in the processor's caches.
     size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
-    # The polytopes of a block are adjacent in the arrays: no points of a surface are between them.
+    # The points of a block's polytopes are adjacent in the arrays, without points of a surface in between.
     apart = layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]
     blocks = np.split(rows, np.flatnonzero(apart | (size[1:] // BLOCK != size[:-1] // BLOCK)) + 1)
     doubt = np.concatenate([_check_ellipsoids(p, block) for block in blocks])
@@ -199,7 +200,7 @@ def _check_polytopes(p: PieceArrays) -> Maps:
 
 
 def _check_ellipsoids(p: PieceArrays, rows: Ints) -> Floats:
-    """Check the ellipsoids of consecutive polytopes for `_check_polytopes`, and return the tolerances used."""
+    """Check the ellipsoids of consecutive polytopes for `_check_polytopes`, and return the tolerances of the tests."""
     start, stop = p.layout[rows, columns.POINTS_FROM], p.layout[rows, columns.POINTS_TO]
     points = p.points[start[0] : stop[-1]]
     owner, start = np.repeat(np.arange(len(rows)), stop - start), start - start[0]
@@ -224,7 +225,7 @@ def _check_ellipsoids(p: PieceArrays, rows: Ints) -> Floats:
 
 
 def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
-    """Map points to the coordinates of their piece's ellipsoid; NumPy is fastest with the shape (3, V) used here."""
+    """Map points to the coordinates of their piece's ellipsoid; the shape is (3, V), with which NumPy is fastest."""
     away = np.ascontiguousarray((points - center[owner]).T)
     rows = np.ascontiguousarray(inverse.transpose(1, 2, 0))
     return np.stack([_dot(rows[k].take(owner, axis=1), away) for k in range(3)])
@@ -247,8 +248,8 @@ def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size:
 
     A closed surface that winds once around the origin encloses every point that can be reached from the origin without
     crossing the surface. If no triangle is nearer than the radius of the ball, the surface therefore encloses the ball,
-    which lies in the hull of the corners. The test uses the distances of triangles, not of their planes, because the
-    corners of a sliver do not determine a plane.
+    and the hull of the corners contains the ball. The test uses the distances of the triangles, not the distances of
+    their planes, because the corners of a sliver do not determine a plane.
     """
     first, last = p.triangle_start[rows], p.triangle_start[rows + 1]
     triangles = p.triangles[first[0] : last[-1]]
@@ -258,8 +259,9 @@ def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size:
     used = np.zeros(local.shape[1], dtype=bool)
     used[corners.ravel()] = True
     _refuse(~used, "triangles: expected every point in one", used)
-    # On a closed surface, each edge cancels against the same edge of the neighbour, which runs the other way. Random
-    # numbers represent the ends of edges, so that other surfaces add up to zero only once in 2**60 cases.
+    # On a closed surface, each edge of a triangle cancels against the same edge of the neighbour, which runs the other
+    # way. Random numbers represent the ends of the edges, so that the sum for an open surface is zero only once in
+    # 2**60 cases.
     tails, heads = np.random.default_rng().integers(0, 2**64, size=(2, local.shape[1]), dtype=np.uint64)
     rest = sum(tails[corners[k]] * heads[corners[k - 2]] - heads[corners[k]] * tails[corners[k - 2]] for k in range(3))
     is_open = np.add.reduceat(rest, first) != 0
@@ -284,10 +286,10 @@ def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size:
 
 
 def _least_height(normal: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Find the least height of the corners of triangles along vectors of any length; -inf for a vector of zero length.
+    """Find the least height of each triangle's corners along a vector of any length; -inf for a vector of zero length.
 
-    For any vector, no point of a triangle is nearer to the origin than this height. The inaccurate normal of a sliver
-    therefore makes the bound smaller, but never too large.
+    For any vector, no point of a triangle is nearer to the origin than this height. An inaccurate normal, as for a
+    sliver, therefore makes the bound smaller, but never too large.
     """
     length = np.sqrt(_dot(normal, normal))
     least = np.minimum(np.minimum(_dot(normal, a), _dot(normal, b)), _dot(normal, c))
@@ -298,9 +300,9 @@ def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
     """Compute lower bounds on the distances of triangles from the origin, without their normals.
 
     Heights are taken along the vectors to the nearest points of the edges. If the triangle's nearest point is on an
-    edge, the bound is the distance. Otherwise, the bound is too small by about the square of the triangle's width,
-    which is far below the tolerance for a sliver. An error in the corners changes the distance by no more than that
-    error.
+    edge, the bound equals the distance. Otherwise, the bound is too small by about the square of the triangle's width;
+    for a sliver, this is far below the tolerance. An error in the corners changes the distance by no more than the
+    error itself.
     """
     bound = np.full(a.shape[1], -np.inf)
     for tail, head in ((a, b), (b, c), (c, a)):
@@ -312,7 +314,7 @@ def _least_distance(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def _check_planes(p: PieceArrays, rows: Ints, doubt: Floats) -> None:
-    """Check that normals have unit length, and that each plane touches the farthest vertex."""
+    """Check that normals have unit length, and that each plane goes through the vertex farthest along its normal."""
     layout, points, planes = p.layout[rows], p.points, p.planes
     normals = planes[:, :3]
     squared = _dot(normals.T, normals.T)
@@ -379,8 +381,8 @@ def _check_one_surface(p: PieceArrays, i: int) -> None:
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
     if p.layout[i, columns.KIND] == columns.SOLID:
-        return  # the inner ellipsoid in the file is not used, but recomputed
-    # The inner ellipsoid is a ball about a point of the surface, or lies within such a ball.
+        return  # the inner ellipsoid in the file is recomputed, not used
+    # The inner ellipsoid is, or lies within, a ball about a point of the surface.
     center, inner = p.inner_center[i], p.inner_factor[i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())
     size = np.linalg.norm(inner, axis=(0, 1), ord=2)
@@ -390,10 +392,11 @@ def _check_one_surface(p: PieceArrays, i: int) -> None:
 
 
 def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
-    """Find an ellipsoid whose sum with a ball lies inside a given ellipsoid, and the tolerance for rounding.
+    """Find an ellipsoid whose sum with a ball lies inside the given ellipsoid, and the tolerance for rounding.
 
-    For any p > 0, the sum lies inside the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² (see `surfaces`).
-    Setting this matrix equal to the given ellipsoid's shape matrix determines Q.
+    Let Q be the shape matrix of the ellipsoid to be found, and r the radius of the ball. For any p > 0, the sum lies
+    inside the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² (see `surface_trees.around_sums`). Q follows
+    from setting this matrix equal to the given ellipsoid's shape matrix.
     """
     _, doubt = _inverses(factor[None], "outer_factor", rows)
     if radius == 0:
@@ -415,7 +418,10 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 
 
 def _check_curved(p: PieceArrays) -> None:
-    """Check that curved pieces match their kind, and that ellipsoids match the closed forms or err on the safe side."""
+    """Check that curved pieces match their kind.
+
+    Their ellipsoids must match the closed forms, or err on the safe side.
+    """
     rows = np.flatnonzero(p.layout[:, columns.KIND] > columns.POLYTOPE)
     if len(rows) == 0:
         return
@@ -425,8 +431,8 @@ def _check_curved(p: PieceArrays) -> None:
     _refuse((rounding > 0) != round_kind, "frames: expected a radius for capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 
-    # Compute the directions and lengths of the axes, scaled first, so that no square over- or underflows. The first
-    # index of `image` is the coordinate, and the second is the axis.
+    # Compute the directions and lengths of the axes. The axes are scaled first, so that no square over- or underflows.
+    # The first index of `image` is the coordinate, and the second is the axis.
     image = np.ascontiguousarray(image.transpose(1, 2, 0))
     largest = np.maximum(np.maximum(np.abs(image[0]), np.abs(image[1])), np.abs(image[2]))
     _refuse(~((largest[0] > 0) & (largest[1] > 0) & (largest[2] > 0)), "frames: expected three axes", rows=rows)
@@ -450,8 +456,8 @@ def _check_curved(p: PieceArrays) -> None:
     for name, semi_axes, lift in zip(("inner", "outer"), fitted.transpose(0, 2, 1), lifts, strict=True):
         away = (getattr(p, f"{name}_center")[rows] - center).T
         factor = np.ascontiguousarray(getattr(p, f"{name}_factor")[rows].transpose(1, 2, 0))
-        # Center and factor in the coordinates in which the closed form is the unit ball; there, a correct factor is a
-        # multiple of the identity.
+        # Express center and factor in the coordinates in which the closed form is the unit ball. In these coordinates,
+        # a correct factor is a multiple of the identity.
         moved = np.stack([_dot(inverse[j], away) - (lift if j == 2 else 0.0) for j in range(3)]) / semi_axes
         local = np.stack([_dot(inverse[j][:, None], factor) / semi_axes[j] for j in range(3)])
         scale = (local[0, 0] + local[1, 1] + local[2, 2]) / 3

@@ -1,4 +1,4 @@
-"""Fit a few convex elements that contain a whole body and stick out only a little (docs/design/covers.md)."""
+"""Fit a few convex elements that contain a whole body and stick out only slightly (docs/design/covers.md)."""
 
 from __future__ import annotations
 
@@ -22,46 +22,50 @@ from loewner.ellipsoids.fits import mvce
 from loewner.errors import GeometryError, InputError
 from loewner.meshes.triangles import halved, longest_edges, unit_normals
 
-# Initial numbers of surface points, corners and interior points that the balls must contain.
+# Initial numbers of points that the balls must contain: on the surface, at corners, and in the interior.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# DENSITY is the number of surface points per square whose edge is the protrusion. For a small surface, the numbers of
-# points and candidates are reduced, to no less than the share LEAST_SHARE.
+# DENSITY is the number of surface points in a square whose edge is the protrusion. A small surface needs fewer points
+# and candidates, but at least the share LEAST_SHARE of the usual numbers.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Number of candidates for the centers of balls.
 CANDIDATES = 2500
 
-# The local search for the fewest balls takes STEPS steps in each of ROUNDS rounds. A round adds points at which the
-# proof fails, and balls for these points, at most REPAIRS times. At most MORE_ROUNDS rounds follow if there is no proof
-# yet.
+# The local search for the fewest balls takes STEPS steps in each of ROUNDS rounds. Up to REPAIRS times, a round adds
+# the points at which the proof fails, and balls for these points. If there is no proof after these rounds, at most
+# MORE_ROUNDS rounds follow.
 STEPS, ROUNDS, MORE_ROUNDS, REPAIRS = 1000, 5, 8, 5
 
-# PAIRS is the number of pairs of centers that are tried as the ends of a capsule's axis. FALL is the least depth of an
-# axis, relative to the depth of its ends, measured at AXIS_POINTS points.
+# PAIRS is the number of pairs of centers that are tried as the ends of a capsule's axis. An axis is accepted if its
+# depth is nowhere less than FALL times the depth of its shallower end. The depth of a capsule is measured at
+# AXIS_POINTS points of its axis.
 PAIRS, FALL, AXIS_POINTS = 16_384, 0.7, 24
 
-# Number of bits in a word; each point, and each candidate, is one bit.
+# Number of bits in a word. Each point, and each candidate, takes one bit.
 WORD = 64
 
-# For a given number of balls, the interval of protrusions is halved HALVINGS times, with FEW_STEPS search steps each
-# time. The protrusion then grows by 3 %, at most GROWTHS times, until the number is proven to suffice.
+# If the number of balls is given, the protrusion is found by halving an interval HALVINGS times, with FEW_STEPS search
+# steps each time. The protrusion then grows by 3 %, at most GROWTHS times, until a cover with this number of balls is
+# proven.
 HALVINGS, FEW_STEPS, GROWTHS = 12, 100, 40
 
-# Largest edge of a cluster's cells, relative to the size of the body, and approximate limit on the number of cells.
+# CELL is the largest edge of a cluster's cells, relative to the size of the body. MOST_CELLS is an approximate limit on
+# the number of cells.
 CELL, MOST_CELLS = 0.04, 20_000
 
-# After JUDGED divisions, an element that sticks out by k times the protrusion is expected to need k elements. The fit
-# ends if the expected number of elements exceeds HOPELESS times MOST.
+# Once there are JUDGED elements, the final number is estimated: an element that sticks out by k times the protrusion is
+# expected to need k elements. The fit ends if the estimate exceeds HOPELESS times MOST.
 JUDGED, HOPELESS = 512, 4
 
 # Half the edge of the cubes that are added where the proof fails, relative to the size of the body.
 AROUND = 0.005
 
-# Boxes and ellipsoids grow by this share of the body's size, so that decimals of their axes are precise enough.
+# Boxes and ellipsoids grow by this share of the body's size, so that they still cover the body when a file rounds their
+# axes to decimals.
 WRITTEN = 1e-6
 
-# Share of the protrusion that is reserved for the gaps between the points.
+# This share of the protrusion is held back, because balls that contain all points may miss the gaps between the points.
 RESERVE = 0.04
 
 # Centers and radii are multiples of GRID times a power of two above all coordinates, so that float32 represents them
@@ -73,12 +77,12 @@ LEAST_PROTRUSION, LARGEST_PROTRUSION, MOST = 1e-4, 1e4, 4096
 
 
 class Candidates:
-    """Candidates for the balls or capsules that are to cover a body, and the points that they must cover.
+    """Candidates for the balls or capsules of a cover, and the points that the cover must contain.
 
-    A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point is moved
-    away from the nearest point of the surface, the new ball contains the old one. Only points of the medial axis, which
-    have several nearest points on the surface, are therefore needed as centers. A capsule is a union of balls; for a
-    capsule, d is the least depth of a point of its axis.
+    A ball of radius d + e around a point at depth d in the body sticks out by no more than e. If the point moves away
+    from the nearest point of the surface, the new ball contains the old ball. Centers are therefore needed only on the
+    medial axis, whose points have several nearest points on the surface. A capsule is a union of balls; its d is the
+    least depth of any point of its axis.
     """
 
     def __init__(self, target: Target, capsules: bool, protrusion: float | None = None) -> None:
@@ -103,8 +107,8 @@ class Candidates:
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        # Points that must be covered; for surfaces with a radius, also the radii of balls about the points that must be
-        # covered.
+        # Points that must be covered and, as a fourth column, the radii of balls about these points that must also be
+        # covered; a radius above 0 belongs to a surface with a radius.
         self.points = np.empty((0, 4))
         self.add_points(surface, radius[at])
         self.add_points(corners[:, :3], corners[:, 3])
@@ -116,7 +120,7 @@ class Candidates:
         centers = np.concatenate(middles)
         centers = centers[:: -(-len(centers) // int(CANDIDATES * share))]
         self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-        # Bits that state which candidates with the radii `radii` contain the first `known` points.
+        # Bits: which candidates contain which of the first `known` points, if the candidates have the radii `radii`.
         self.radii, self.known = np.empty(0), 0
         self.by_point, self.by_candidate = np.empty((0, 0), dtype=np.int64), np.empty((0, 0), dtype=np.int64)
         self.add_candidates(centers, np.zeros((1, 3)))
@@ -124,7 +128,7 @@ class Candidates:
             self._add_segments()
 
     def _add_segments(self) -> None:
-        """Join pairs of centers by segments, and keep the segments along which the depth falls little."""
+        """Join pairs of centers by segments, and keep segments along which the depth does not fall much."""
         pairs = (even_points(PAIRS, 2) * len(self.centers)).astype(np.int64)
         p, q = self.centers[pairs[:, 0]], self.centers[pairs[:, 1]]
         # Half of the segments are shortened.
@@ -146,7 +150,7 @@ class Candidates:
         return points + low[:, None] * inward
 
     def chosen(self, protrusion: float, steps: int, start: Ints | None = None, reserve: float = RESERVE) -> Ints:
-        """Choose few candidates that together cover all points: first greedily, then by exchanges."""
+        """Choose a few candidates that together cover all points: first greedily, then by exchanges."""
         start = np.empty(0, dtype=np.int64) if start is None else start
         for _ in range(2):
             n = len(self.points)
@@ -155,17 +159,17 @@ class Candidates:
                 candidates = np.empty(n, dtype=np.int64)
                 count = entries.choose_few(n, steps, start, self.by_point, self.by_candidate, candidates)
                 return candidates[:count]
-            # Points that are in no ball get candidates of their own.
+            # Each point that is in no ball becomes the center of a new candidate.
             self.add_candidates(self.points[missed, :3], np.zeros((1, 3)))
         differ = f"{np.ptp(self.target.radius):g} m, by which radii of surfaces differ"
         raise GeometryError(f"protrusion: expected more than {differ}, found {protrusion:g} m")
 
     def _hold(self, radii: Floats) -> Bools:
-        """Find which candidates of the given radii contain which points, and return the points in no candidate."""
+        """Find which candidates, with the given radii, contain which points; mark the points in no candidate."""
         n, m = -(-len(self.points) // WORD), -(-len(radii) // WORD)
         old_count = self.known if np.array_equal(radii, self.radii) else 0
         if m > self.by_point.shape[1] or n > self.by_candidate.shape[1]:
-            # Half of the memory is for points of later rounds.
+            # A third of the memory is for points of later rounds.
             self.by_point = np.empty((3 * n // 2 * WORD, m), dtype=np.int64)
             self.by_candidate = np.zeros((m * WORD, 3 * n // 2), dtype=np.int64)
             old_count = 0
@@ -210,10 +214,11 @@ class Candidates:
         return as_one(bodies) if len(bodies) > 1 else bodies[0]
 
     def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
-        """Choose candidates that provably cover the body; return None if no proof is found with at most `most`."""
+        """Choose candidates that provably cover the body, at most `most`; return None if no proof is found."""
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
-            # If there is no proof yet, balls must contain the points with more room to spare.
+            # As long as there is no proof, each further round requires the balls to contain the points with more room
+            # to spare.
             reserve = min(RESERVE * 1.5 ** max(0, round_ - ROUNDS + 1), 0.9)
             chosen = trial = self.chosen(protrusion, steps, chosen, reserve)
             for _ in range(REPAIRS):
@@ -243,8 +248,8 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, p
             raise _no_proof(kind, n, protrusion)
         return model
     assert n is not None
-    # The protrusion must exceed the differences between the radii of surfaces, since balls contain balls about their
-    # points.
+    # The protrusion must exceed the differences between the radii of the body's surfaces, since elements must contain
+    # whole balls about points of the surfaces.
     low, high = max(LEAST_PROTRUSION * target.size, 1.1 * float(np.ptp(target.radius))), target.size
     for step in range(HALVINGS):
         middle = float(np.sqrt(low * high)) if low * 4 < high else (low + high) / 2
@@ -260,7 +265,10 @@ def _round(target: Target, kind: str, n: int | None, protrusion: float | None, p
 
 
 class _Clusters:
-    """Clusters of a body's cells, each with an element around it; the one that sticks out most is divided."""
+    """Clusters of a body's cells, each with an element around it.
+
+    The cluster whose element sticks out most is divided next.
+    """
 
     def __init__(self, target: Target, kind: str, protrusion: float | None) -> None:
         self.target, self.kind = target, kind
@@ -271,8 +279,8 @@ class _Clusters:
             if not long.any() or len(cells) > MOST_CELLS:
                 break
             cells = np.concatenate([cells[~long], halved(cells[long], edge[long])])
-        # The cells are triangles, and cubes in the interior that do not reach the surface; both are stored as eight
-        # corners, which repeat for a triangle.
+        # The cells are triangles of the surface, and cubes in the interior that do not reach the surface. Every cell is
+        # stored as eight corners; a triangle repeats some of its corners.
         step = target.size * max(0.025, min(1.5 * CELL, (protrusion or target.size) / target.size))
         self.cell = step
         counts = np.maximum(1, np.ceil((target.high - target.low) / step)).astype(np.int64)
@@ -284,7 +292,7 @@ class _Clusters:
         self.points, cells_of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         self.cells = cells_of.reshape(-1, 8)
         self.middles = np.concatenate([cells.mean(axis=1), lattice])
-        # Elements grow by this length, which allows for their rounding and for the decimals in files.
+        # Elements grow by this length, to allow for rounding and for the decimals in files.
         self.spare = WRITTEN * (target.reach + target.size) + float(target.radius.max())
         self.clusters = [np.arange(len(self.cells))]
         self.elements = [self.element(self.clusters[0])]
@@ -315,7 +323,7 @@ class _Clusters:
         return float(self.target.below(np.concatenate([vertices, vertices[triangles].mean(axis=1)])).max())
 
     def divide(self, k: int) -> None:
-        """Halve a cluster across one of its axes, so that the parts' elements have the least volume."""
+        """Halve a cluster across the principal axis for which the two new elements have the least volume."""
         cluster = self.clusters[k]
         away = self.middles[cluster] - self.middles[cluster].mean(axis=0)
         turn = np.linalg.eigh(away.T @ away)[1]
@@ -336,7 +344,7 @@ class _Clusters:
         self.excess[k : k + 1] = [self.sticks(element) for element in best[2]]
 
     def grow(self, limit: float) -> list[Packed]:
-        """Grow elements by at most the size of a cell, until they stick out as far as allowed; this closes gaps."""
+        """Close gaps: grow elements until they stick out as far as allowed, but by no more than the size of a cell."""
         grown = []
         for cluster, element, excess in zip(self.clusters, self.elements, self.excess, strict=True):
             # If a box grows, its corners move farther than its faces.
@@ -405,7 +413,7 @@ def _others(target: Target, kind: str, n: int | None, protrusion: float | None, 
 
 
 def _no_proof(kind: str, n: int | None, protrusion: float | None) -> GeometryError:
-    """Make the error for a limit on the number of elements or on the protrusion, within which no proof was found."""
+    """Make the error for a search that found no proof within the number of elements or within the protrusion."""
     if protrusion is None:
         return GeometryError(f"n: expected a number of {kind} that suffices, found {n}, and no proof")
     return GeometryError(f"protrusion: expected one that {kind} reach, found {protrusion:g} m, and no proof")
@@ -414,7 +422,7 @@ def _no_proof(kind: str, n: int | None, protrusion: float | None) -> GeometryErr
 def cover(
     packed: Packed, kind: str, n: int | None, protrusion: float | None, progress: Progress
 ) -> tuple[Packed, float]:
-    """Fit elements of a kind to a body, and bound how far they stick out; see `Body.cover`."""
+    """Fit elements of one kind to a body, and bound how far the elements stick out; see `Body.cover`."""
     target, percentage = Target(packed), Percentage(progress)
     least, most = LEAST_PROTRUSION * target.size, LARGEST_PROTRUSION * target.size
     if protrusion is not None and not least <= protrusion <= most:

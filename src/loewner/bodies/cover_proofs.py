@@ -1,6 +1,6 @@
 """Prove that convex elements contain a whole body, including its interior, or find an uncovered point.
 
-docs/containment.md states the three outcomes and derives the margins.
+docs/containment.md defines the three outcomes and derives the margins.
 """
 
 from __future__ import annotations
@@ -23,44 +23,46 @@ from loewner.meshes.coverage import CoverReport
 from loewner.meshes.protrusion import Solid, protrusions
 from loewner.meshes.triangles import halved
 
-# Cells of the body are halved down to this share of its diagonal.
+# By default, cells of the body are halved until they are as small as this share of the body's diagonal.
 RESOLUTION = 1e-4
 
-# Bound on the rounding of a cell's corners, relative to the largest coordinate: each of the few halvings rounds twice.
+# Bound on the rounding of a cell's corners, relative to the largest coordinate. There are few halvings, and each rounds
+# twice.
 CELL_ROUNDINGS = 256 * 2.0**-53
 
 # At most WORK cells are halved at a time. At most AT_ONCE pairs of a cell and an element are formed at a time, so that
-# the arrays stay in the processor's cache. LOOKED_INTO cells are searched for a hole smaller than the tolerance, over
-# LOOKS halvings.
+# the arrays stay in the processor's cache. The search for a hole smaller than the tolerance halves the most promising
+# LOOKED_INTO cells, LOOKS times.
 WORK, AT_ONCE, LOOKED_INTO, LOOKS = 200_000, 100_000, 128, 60
 
-# The search for the largest distance ends when its upper bound exceeds a known distance by at most this share.
+# The search for the largest distance ends when the upper bound exceeds the largest distance found by at most this
+# share.
 RELATIVE = 0.01
 
-# Number of times that triangles partly inside other pieces are halved.
+# Triangles that are partly inside other pieces are halved this many times.
 TRIMS = 8
 
-# Circumscribed polytopes are larger by this factor than their computed corners.
+# Circumscribed polytopes are enlarged by this factor, for the rounding of their corners.
 OUTWARD = 1 + 1e-12
 
-# Number of divisions of the triangulated ball, whose corners give trial points on curved elements.
+# Number of subdivisions of the triangulated ball, whose corners are used as trial points on curved elements.
 DIVISIONS = 2
 
-# Number of triangles of elements in one search for the largest protrusion.
+# One search for the largest protrusion takes elements with about this many triangles in all.
 FACES = 100_000
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
 class _Part(NamedTuple):
-    """A piece of the body: triangles of its boundary, or of a polytope around it if the piece is curved."""
+    """A piece of the body: the triangles of its boundary or, for a curved piece, of a polytope around it."""
 
     triangles: Floats
     solid: bool  # the piece includes its inside
     convex: bool
     radius: float  # radius of the ball around each point of the triangles
-    slack: float  # the piece sticks out of its triangles by at most this
-    gap: float = 0.0  # the triangles stick out of the piece by at most this
+    slack: float  # how far the piece may stick out of its triangles
+    gap: float = 0.0  # how far the triangles may stick out of the piece
     inner: Floats | None = None  # triangles in a curved piece, with corners on its surface
 
 
@@ -78,7 +80,7 @@ class Target:
         self.parts = [_part(packed, i) for i in range(len(packed.layout))]
         self.triangles, self.owner = self.surface([part.triangles for part in self.parts])
         self.curved = np.array([part.inner is not None for part in self.parts])
-        # The triangles in `own` consist of points of the body, and their areas are measured.
+        # All points of the triangles in `own` belong to the body. Their areas are measured.
         self.own = self.surface([part.triangles if part.inner is None else part.inner for part in self.parts])
         self.radius, self.slack, self.gap = (
             np.array([getattr(part, name) for part in self.parts]) for name in ("radius", "slack", "gap")
@@ -105,7 +107,7 @@ class Target:
         return np.concatenate(of_parts), np.repeat(np.arange(len(of_parts)), [len(part) for part in of_parts])
 
     def below(self, points: Floats) -> Floats:
-        """Compute lower bounds on the distances of points from the body, negative in a solid."""
+        """Compute lower bounds on the distances of points from the body; the bounds are negative inside a solid."""
         return np.asarray(_least(points, [*self.solids, *self.open]) - self.radius.max())
 
     def holds(self, points: Floats) -> Bools:
@@ -116,11 +118,11 @@ class Target:
         return np.asarray(self.depths(points) < -clear)
 
     def depths(self, points: Floats) -> Floats:
-        """Compute lower bounds on the distances of points from the triangles of all solids, negative within a solid."""
+        """Compute lower bounds on the distances of points from all solids; the bounds are negative inside a solid."""
         return _least(points, self.solids)
 
     def far(self, points: Floats) -> Floats:
-        """Compute upper bounds on the distances of points from the body, negative well inside the body."""
+        """Compute upper bounds on the distances of points from the body; they are negative well inside the body."""
         distances = self.boundary.signed_distances(points)[0]
         if self.boundary is not self.whole and self.whole.closed:
             clear = np.flatnonzero(distances > self.whole.rounding)
@@ -128,7 +130,7 @@ class Target:
         return np.asarray(distances + self.whole.rounding - self.radius.min() + self.gap.max())
 
     def _boundary(self) -> Solid:
-        """Drop the parts of triangles in the interior of a convex piece, since they are not in the boundary."""
+        """Drop parts of triangles that are inside another convex piece, and so are not on the body's boundary."""
         convex = [k for k, part in enumerate(self.parts) if part.convex]
         if len(convex) < 2 or not self.whole.closed:
             return self.whole
@@ -162,7 +164,7 @@ class Target:
 
 
 def _least(points: Floats, surfaces: list[Solid]) -> Floats:
-    """Compute lower bounds on the distances of points from the nearest of some surfaces, infinite without any."""
+    """Compute lower bounds on the distances of points from the nearest surface; infinite if there are no surfaces."""
     bounds = np.full(len(points), np.inf)
     for surface in surfaces:
         bounds = np.minimum(bounds, surface.signed_distances(points)[0] - surface.rounding)
@@ -184,10 +186,11 @@ def _part(packed: Packed, i: int) -> _Part:
 
 
 def _stray(hull_points: Floats, planes: Floats) -> float:
-    """Bound how far the hull of points extends beyond its own triangles, which are flat only up to rounding.
+    """Bound how far the hull of points sticks out of its own triangles, which are in the faces only up to rounding.
 
-    Let w be the width within which `polytopes` accepts the corners of a face, and h the height of a triangle's plane
-    over the middle c. A point y of the hull is beyond the plane, seen from c, by at most w |y - c| / h.
+    Let c be the middle of the hull, h the height of a triangle's plane above c, and w the width within which
+    `polytopes` accepts the corners of a face. Seen from c, a point y of the hull is beyond the plane by at most w |y -
+    c| / h.
     """
     middle = hull_points.mean(axis=0)
     reach = float(lengths(hull_points - middle).max())
@@ -196,7 +199,7 @@ def _stray(hull_points: Floats, planes: Floats) -> float:
 
 
 def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
-    """Make a polytope around a curved piece, and a center and factor that shrink its points into the piece."""
+    """Make a polytope around a curved piece, and the center and factor of a scaling that moves it into the piece."""
     kind, frame = CURVED[int(packed.layout[i, columns.KIND])], packed.frames[i]
     radius, center, factor = frame[0], frame[1:4], frame[4:].reshape(3, 3)
     unit, _ = kind.mesh()
@@ -209,7 +212,7 @@ def _around(packed: Packed, i: int) -> tuple[Polytope, Floats, float]:
 
 
 class _Cells(NamedTuple):
-    """Triangles or cubes, and the pairs of a cell and an element that it may meet, in the order of the cells."""
+    """Triangles or cubes, and all pairs of a cell and an element that may meet, in the order of the cells."""
 
     shape: Floats  # (k, 3, 3) corners of triangles, or (k, 4) centers and half edges of cubes
     owner: Ints
@@ -218,7 +221,7 @@ class _Cells(NamedTuple):
     element: Ints
 
     def take(self, keep: Bools, pairs: Bools | None = None) -> _Cells:
-        """Select cells, with all of their pairs or only with some."""
+        """Select cells, with all of their pairs or only some of the pairs."""
         place = np.cumsum(keep) - 1
         pairs = keep[self.cell] if pairs is None else pairs & keep[self.cell]
         return _Cells(self.shape[keep], self.owner[keep], self.area[keep], place[self.cell[pairs]], self.element[pairs])
@@ -257,7 +260,7 @@ class _Cells(NamedTuple):
 
 
 def _left(cells: list[_Cells]) -> _Cells | None:
-    """Join the cells that are not settled; None if there are none."""
+    """Join lists of unsettled cells; return None if all lists are empty."""
     left = [some for some in cells if len(some.shape)]
     return _Cells.joined(left) if left else None
 
@@ -268,20 +271,20 @@ class _Proof:
     def __init__(self, target: Target, model: Elements, tolerance: float) -> None:
         self.target, self.model, self.tolerance = target, model, tolerance
         ends = np.abs(model.center).max(initial=0.0) if len(model) else 0.0
-        # Bound on the rounding of cells' corners, which are rounded at each halving.
+        # Bound on the rounding of the cells' corners, which are rounded at each halving.
         self.cells = CELL_ROUNDINGS * (target.reach + float(ends))
         self.witness: Floats | None = None
         self.deepest = 0.0
-        self.outside: list[Floats] = []  # points and, as a fourth column, the radii of balls about them
+        self.outside: list[Floats] = []  # points and, in a fourth column, the radii of balls about them
 
     def within(self, points: Floats, element: Ints, radius: float) -> Bools:
-        """Return whether balls about stored points are in elements."""
+        """Return whether balls of one radius about stored points are in the given elements."""
         model = self.model
         margin = np.where(model.exact[element] & (radius == 0), 0.0, model.rounding[element])
         return np.asarray(model.heights(points, element) <= -(margin + radius))
 
     def wholes(self) -> Bools:
-        """Return which parts equal an element, or have all corners in one element."""
+        """Find the parts that equal an element, or that have all corners in one element."""
         target, model = self.target, self.model
         packed, is_whole = target.packed, np.zeros(len(target.parts), dtype=bool)
         kinds, frames = packed.layout[:, columns.KIND], packed.frames
@@ -311,14 +314,14 @@ class _Proof:
         Returns
         -------
         cells : _Cells
-            The cells that are in no single element, paired with the elements that they may meet. With `inside`, they
-            are paired with all elements whose height may be the least at a point of the cell.
+            The remaining cells, which are in no single element, paired with the elements that they may meet. With
+            `inside`, a cell is paired with every element whose height may be the least at some point of the cell.
         height : ndarray
-            The least height of each remaining cell's center.
+            The least height over the elements at each remaining cell's center.
         outside : ndarray of bool
-            Which remaining cells are outside of every element.
+            Which remaining cells are outside all elements.
         flush : ndarray of bool
-            Which remaining cells, and therefore their parts, are in the boundary of an element except for rounding.
+            Which remaining cells are, up to rounding, in the boundary of an element; their parts then are as well.
         settled : ndarray of bool
             Which of the given cells are in one element.
         """
@@ -336,9 +339,9 @@ class _Proof:
         outside[c[meets]] = False
         needed = margin
         if first:
-            # The first cells have corners as stored, without the rounding of halvings.
+            # The corners of the first cells are as stored, without the rounding of halvings.
             needed = np.where(model.exact[e] & (below == 0)[c], 0.0, model.rounding[e])
-        # If a convex cell is in a convex element, so is the cell's center, up to rounding.
+        # If a cell is in an element, the cell's center is in the element, too, up to rounding: both are convex.
         blur = margin + 2 * slack[c]
         left = np.flatnonzero(meets & (height <= blur))
         most = np.full(len(left), -np.inf)
@@ -351,12 +354,12 @@ class _Proof:
         # If a cell lies in the boundary of an element, the cell's center lies there as well.
         flush[c[left[height[left] >= -radius[c[left]] - 4 * blur[left]]]] = True
         rest = ~settled
-        # In a hole, the element with the least height at a point of a cell may not meet the cell.
+        # In a hole, an element may have the least height at a point of a cell without meeting the cell.
         kept = height <= (least + 2 * reach)[c] + margin if inside else meets
         return cells.take(rest, kept), least[rest], outside[rest], flush[rest], settled
 
     def note(self, points: Floats, depth: Floats) -> None:
-        """Keep the point with the greatest `depth` outside the model, if it is deeper than the point kept so far."""
+        """Keep the point with the greatest `depth` outside the model if it is deeper than the point kept so far."""
         if len(depth) == 0 or not depth.max() > self.deepest:
             return
         point, n = points[depth.argmax()], len(self.model)
@@ -384,13 +387,13 @@ class _Proof:
         report : callable
             Receives the settled percentage of the area.
         own : bool
-            Whether the points of the triangles belong to the body, so that a point outside proves that the body is not
-            covered.
+            Whether the points of the triangles belong to the body. If so, a point outside the model proves that the
+            body is not covered.
 
         Returns
         -------
         covered, outside : float
-            Areas that are proven to be in the model, and outside of it.
+            Areas that are proven to be inside the model, and outside the model.
         rest : _Cells or None
             Cells that are not settled.
         """
@@ -423,18 +426,18 @@ class _Proof:
             cells = [halves.parts()]
 
     def _corners(self, cells: _Cells) -> None:
-        """Try the corners of stored triangles, where the deepest points often are."""
+        """Try the corners of stored triangles, because the deepest point is often a corner."""
         for k in range(3):
             points = cells.shape[:, k]
             heights = self.model.heights(points[cells.cell], cells.element)
             self.note(points, least_of(heights, cells.cell, len(points)))
 
     def inside(self) -> _Cells | None:
-        """Search the interior for holes, given that the surface is covered; return cells that are not settled.
+        """Search the interior for holes, assuming that the surface is covered; return the cells that are not settled.
 
-        In a hole, the least height has a local maximum. A cell cannot contain such a maximum, and is settled, in three
-        cases: it is in one element; it is outside the body; or one direction leads away from all elements that may be
-        nearest to a point of the cell.
+        In a hole, the least height over the elements has a local maximum. A cell is settled if it cannot contain such a
+        maximum. This is so in three cases: the cell is in one element; the cell is outside the body; or one direction
+        leads away from all elements that may be nearest to a point of the cell.
         """
         target, model = self.target, self.model
         if not target.solids:
@@ -443,7 +446,8 @@ class _Proof:
         while len(cells.shape):
             cells, least, _, flush, _ = self.look(cells, first=False, inside=True)
             centers, reach = cells.middles()
-            # Heights at the cell's center, and by how much heights may differ elsewhere in the cell.
+            # An element counts if its height may be the least somewhere in the cell, judging by the height at the
+            # cell's center.
             height = model.heights(centers[cells.cell], cells.element)
             active = height <= (least + 2 * reach)[cells.cell] + model.rounding[cells.element] + self.cells
             away = model.face_one_way(centers, reach + self.cells, cells.cell[active], cells.element[active])
@@ -468,7 +472,7 @@ class _Proof:
         return _left(rest)
 
     def dive(self, cells: _Cells, inside: bool) -> None:
-        """Look for a hole that is smaller than the tolerance, where points are nearest to being outside."""
+        """Search for a hole smaller than the tolerance, in the cells that are nearest to being outside the model."""
         for _ in range(LOOKS):
             if len(cells.shape) == 0 or self.witness is not None:
                 return
@@ -483,7 +487,7 @@ class _Proof:
             cells = cells.take(keep & ~flush)
 
     def depth(self, whole: Bools, holes: _Cells | None) -> float:
-        """Bound from above the largest distance from a point of the body to the model.
+        """Compute an upper bound on the largest distance from a point of the body to the model.
 
         If no hole was found in the interior, the distance is greatest on the surface or in a cell that is not settled.
         """
@@ -497,15 +501,15 @@ class _Proof:
                 far = least_of(distances, holes.cell, len(middle))
                 bound = max(bound, float((far + reach).max()))
         elif target.solids:
-            # The interior takes more cells than the surface, so its distance is bounded only to a third of a percent of
-            # the body's size.
+            # The interior takes more cells than the surface. Distances of interior points are therefore bounded only to
+            # a third of a percent of the body's size.
             least = max(self.tolerance, target.size / 300)
             cube = np.array([target.cube()])
             bound = max(bound, self._deepest(cube, np.zeros(1, dtype=np.int64), least, inside=True))
         return bound + float(target.gap.max())
 
     def _deepest(self, shape: Floats, owner: Ints, least: float, inside: bool) -> float:
-        """Bound the largest distance from a point of the cells to the model, to 1 % or to `least`."""
+        """Bound the largest distance from a point of the cells to the model, accurately to 1 % or to `least`."""
         target, model, bound, work = self.target, self.model, 0.0, 0
         waiting: Iterable[_Cells] = self.paired(shape, owner, np.zeros(len(shape)))
         plain = inside and model.plain
@@ -549,9 +553,9 @@ class _Proof:
 def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float) -> tuple[float, float]:
     """Bound how far the elements of a model stick out of a body.
 
-    A ball around a point at a certain depth in the body sticks out by no more than its radius minus this depth, and a
-    capsule is a union of balls. If this bound is not close to the distance of a known point, or if the element is of
-    another kind, the element is replaced with a circumscribed polytope, and `protrusion` bounds how far the polytope
+    A ball around a point at some depth in the body sticks out by no more than its radius minus this depth. A capsule is
+    a union of such balls. For other kinds of elements, and if this bound is much larger than the distance of some point
+    of the element, the element is replaced with a circumscribed polytope; `protrusion` bounds how far the polytope
     sticks out.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
@@ -576,8 +580,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
         around = {i: hulls[i] if i in hulls else _around(packed, i)[0] for i in open_}
         faces = np.cumsum([len(around[i].simplices) for i in open_])
         groups = np.split(np.array(open_), np.searchsorted(faces, np.arange(FACES, int(faces[-1]), FACES)))
-        # Each search may do a limited amount of work. If there are several searches, elements that stick out less than
-        # another element do not matter.
+        # Each search does a limited amount of work. If there are several searches, they may ignore elements that stick
+        # out less than another element.
         floor = max(0.0, near + float(target.radius.min() - target.gap.max())) if len(groups) > 1 else 0.0
         for group in groups:
             if len(group) == 0:
@@ -592,7 +596,7 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
 
 
 def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float) -> Floats:
-    """Bound how far balls and capsules stick out: the distances of their axes from the body, plus the radius."""
+    """Bound how far balls and capsules stick out: the largest signed distance of the axis, plus the radius."""
     bound = np.full(len(these), -np.inf)
     owner = np.arange(len(these))
     axis = model.axis[these] * (model.kind[these] == columns.SEGMENT)[:, None]
@@ -611,7 +615,7 @@ def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float
         owner, low, high = np.tile(owner, 2), np.concatenate([low, middle]), np.concatenate([middle, high])
     else:
         np.maximum.at(bound, owner, np.inf)
-    # A ball inside the triangles may be outside the pieces, by as much as the triangles stick out.
+    # A ball inside the triangles may stick out of the pieces by as much as the triangles stick out of the pieces.
     return np.asarray(np.maximum(bound + model.radius[these] + model.rounding[these], target.gap.max()))
 
 
@@ -634,7 +638,7 @@ def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Prog
         proof.dive(rest, inside=False)
     around = target.curved & ~whole
     if proof.witness is None and around.any():
-        # A curved piece is covered if the polytope around it is covered.
+        # A curved piece is covered if the polytope around the piece is covered.
         these = around[target.owner]
         _, _, more = proof.surface(target.triangles[these], target.owner[these], silent, own=False)
         rest = _left([cells for cells in (rest, more) if cells is not None])
@@ -658,9 +662,9 @@ def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Prog
 
 
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
-    """Return points that a model misses or is not proven to cover; none if the body is proven to be covered.
+    """Return points of a body that a model misses, or is not proven to cover; none if the body is proven to be covered.
 
-    Each point comes with the radius of a ball around it that is part of the body.
+    With each point, return the radius of a ball around the point that also belongs to the body.
     """
     proof = _Proof(target, Elements(model), 0.02 * protrusion)
     whole = proof.wholes()

@@ -11,17 +11,18 @@ from loewner._base._plausible import warn
 from loewner._base._validate import Floats
 from loewner.errors import InputError
 
-# Bounds on focal lengths and offsets in pixels: a matrix outside them does not describe a camera.
+# SMALLEST is the least focal length of a camera in pixels, and LARGEST the largest entry of its intrinsic matrix.
 SMALLEST, LARGEST = 1e-3, 1e9
 
-# Depths beyond this distance, in metres, are probably in millimetres.
+# Depths above this number of metres are probably in millimetres.
 FARTHEST = 100.0
 
 # If an image is wider or higher than this many focal lengths (170 degrees), its intrinsic matrix is probably wrong.
 WIDEST = 23.0
 
-# Distances of the principal point from the middle, as shares of the image. The distance is at most OFF for a camera.
-# For the matrix of a turned image, the distance exceeds OFF, but is below CENTRAL once width and height are exchanged.
+# Distances of the principal point from the middle of the image, as shares of the image's width or height. For a camera,
+# the distance is at most OFF. If the matrix belongs to a transposed image, the distance exceeds OFF, but falls below
+# CENTRAL if width and height are exchanged.
 OFF, CENTRAL = 0.1, 0.05
 
 
@@ -32,7 +33,7 @@ def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None =
     Parameters
     ----------
     image : array_like of float, shape (H, W)
-        Depths along the optical axis, in metres. Entries that are not finite or not positive stand for pixels without
+        Depths along the optical axis, in metres. An entry that is not finite or not positive stands for a pixel without
         an echo.
     K : array_like, shape (3, 3)
         Intrinsic matrix ``[[fx, s, cx], [0, fy, cy], [0, 0, 1]]``, in pixels; (0, 0) is the middle of the first pixel.
@@ -47,8 +48,8 @@ def points_of(image: ArrayLike, K: ArrayLike, T_world_camera: ArrayLike | None =
     Raises
     ------
     InputError
-        If the image is not an array of floating-point numbers with two axes (depths in millimetres are integers:
-        divide them by 1000), or the matrix is not an intrinsic matrix.
+        If the image is not an array of floating-point numbers with two axes, or the matrix is not an intrinsic matrix.
+        Depths that are integers are usually in millimetres: divide them by 1000.
     PoseError
         If the pose is not a rigid motion.
 

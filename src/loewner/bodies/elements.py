@@ -1,4 +1,4 @@
-"""Convex pieces as functions that are at most zero inside, for many pairs of a point and a piece at once."""
+"""Represent convex pieces by functions that are at most zero inside, and evaluate these for many points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ HEIGHT_ROUNDINGS = 64 * 2.0**-53
 # Number of products of points and planes computed at a time.
 AT_ONCE = 1_000_000
 
-# Number of steps in the search for a direction that leads away from all elements, and the cosine that it must exceed.
+# A direction that leads away from all elements is searched in FACING_STEPS steps. FACING is the cosine that it must
+# exceed.
 FACING_STEPS, FACING = 8, 1e-6
 
 # Number of steps of Newton's method for the point of an ellipsoid that is nearest to a given point.
@@ -29,12 +30,12 @@ NEAREST_STEPS = 24
 
 
 class Elements:
-    """The convex pieces of a body, as convex functions of points, called heights.
+    """The convex pieces of a body, represented by convex functions of points, which are called heights.
 
     A height is at most zero inside the piece and positive outside, and the heights of two points differ by no more than
     the distance between the points. Outside, the height is therefore a lower bound on the distance. For a ball or a
     capsule, the height is the signed distance. For a polytope, it is the largest signed distance from a face's plane.
-    For any other curved piece, it is the unit shape's gauge minus 1, times the smallest semi-axis.
+    For any other curved piece, it is s (g - 1), where s is the smallest semi-axis and g the gauge of the unit shape.
 
     Parameters
     ----------
@@ -47,9 +48,9 @@ class Elements:
     ----------
     kind : ndarray of int, shape (n,)
     rounding : ndarray, shape (n,)
-        Bounds on the errors of heights that decide whether a point is inside; docs/containment.md derives them.
+        Bounds on the errors of heights, for deciding whether a point is inside; docs/containment.md derives them.
     exact : ndarray of bool, shape (n,)
-        Whether the sign of the heights of stored points is exact, as for axis-aligned boxes.
+        Whether the heights of stored points have exact signs, as for axis-aligned boxes.
     plain : bool
         Whether all elements are balls, capsules and boxes. The direction to the nearest point of such an element is a
         combination of the directions that `face_one_way` considers.
@@ -80,21 +81,21 @@ class Elements:
         return len(self.kind)
 
     def _take_gauges(self) -> None:
-        """Prepare curved pieces that have no added ball."""
+        """Prepare the curved pieces without an added ball."""
         these = np.flatnonzero((self.kind > columns.POLYTOPE) & ~np.isin(self.kind, ROUND))
         self.inverse, self.sigma = np.zeros_like(self.factor), np.zeros(len(self.kind))
         if len(these) == 0:
             return
         self.inverse[these] = np.linalg.inv(self.factor[these])
         self.sigma[these] = singular_values(self.factor[these])[:, -1]
-        # The gauge of a point has rounding errors from the inverse and from the product with the inverse.
+        # The inverse and the product with the inverse add rounding errors to the gauge of a point.
         spread = product(np.abs(self.inverse[these]), np.abs(self.factor[these]))
         turned = np.sqrt((spread * spread).sum(axis=(1, 2)))
         self.sigma[these] *= 1 - HEIGHT_ROUNDINGS
         self.rounding[these] = HEIGHT_ROUNDINGS * self.sigma[these] * turned
 
     def _take_planes(self, packed: Packed) -> None:
-        """Prepare polytopes: for each simplex of the surface, choose the plane nearest to the lowest of its corners.
+        """Prepare polytopes: for each triangle of the surface, choose the plane that is nearest to its lowest corner.
 
         By the lemma of docs/containment.md, the points below all chosen planes lie in the hull of the vertices.
         """
@@ -131,7 +132,7 @@ class Elements:
         return self._by_kind(element, lambda kind, these: self._heights(kind, points[these], element[these]))
 
     def _by_kind(self, element: Ints, function: Callable[[int, Ints], Floats]) -> Floats:
-        """Compute a number for each element; the function receives a kind and the positions of its elements."""
+        """Compute one number per entry of `element`; `function` receives a kind and the positions of its entries."""
         kinds, values = self.kind[element], np.empty(len(element))
         for kind in self.kinds:
             these = np.flatnonzero(kinds == kind)
@@ -155,7 +156,7 @@ class Elements:
         return np.asarray(self.sigma[element] * (CURVED[kind].gauge(dot(self.inverse[element], arm[:, None])) - 1.0))
 
     def distances(self, points: Floats, element: Ints) -> Floats:
-        """Compute upper bounds on the distances of points from their elements, 0 inside."""
+        """Compute upper bounds on the distances of points from their elements; the bound is 0 inside."""
         distances = np.maximum(self.heights(points, element), 0.0)
         kinds = self.kind[element]
         for i in np.unique(element[kinds == columns.POLYTOPE]).tolist():
@@ -173,7 +174,7 @@ class Elements:
         return distances
 
     def below(self, points: Floats, element: Ints) -> Floats:
-        """Compute lower bounds on the distances of points from their elements, at least as good as heights."""
+        """Compute lower bounds, at least as large as the heights, on the distances of points from their elements."""
         bounds = self.heights(points, element)
         these = np.flatnonzero(self.kind[element] == columns.POLYTOPE)
         if len(these):
@@ -181,7 +182,8 @@ class Elements:
             bounds[these] = np.where(bounds[these] > 0, np.maximum(bounds[these], far), bounds[these])
         these = np.flatnonzero((self.sigma[element] > 0) & (bounds > 0))
         if len(these):
-            # The plane perpendicular to the direction from a near point touches the element at its support point.
+            # The distance from the element's supporting plane, perpendicular to the direction from a near point, is a
+            # lower bound.
             e = element[these]
             arm = points[these] - self.center[e]
             way = arm - self._near(arm, e)
@@ -193,12 +195,12 @@ class Elements:
         return bounds
 
     def _near(self, arm: Floats, element: Ints) -> Floats:
-        """Compute points of elements that are near to given points outside, relative to the elements' centers."""
+        """Compute points of elements close to points outside; all points are relative to the elements' centers."""
         unit = dot(self.inverse[element], arm[:, None])
         kinds = self.kind[element]
         squares = (self.factor[element] ** 2).sum(axis=1)
-        # The nearest point of an ellipsoid with semi-axes a, to the point y = a · unit, has the t for which the squares
-        # of a y / (a² + t) sum to 1.
+        # For an ellipsoid with semi-axes a and a point y = a · unit, the nearest point is a² y / (a² + t), for the t at
+        # which the squares of a y / (a² + t) sum to 1.
         t = np.zeros(len(arm))
         for _ in range(NEAREST_STEPS):
             terms = squares * unit / (squares + t[:, None])
@@ -212,7 +214,7 @@ class Elements:
         return dot(self.factor[element], near[:, None])
 
     def face_one_way(self, middles: Floats, reach: Floats, cell: Ints, element: Ints) -> Bools:
-        """Return, for each cell, whether one direction leads away from all of its elements at every point of the cell.
+        """Return, for each cell, whether one direction leads away from all its elements at every point of the cell.
 
         Parameters
         ----------
@@ -224,7 +226,7 @@ class Elements:
         Returns
         -------
         ndarray of bool, shape (k,)
-            If true, the least height over the cell's elements has no local maximum above zero in the cell.
+            If true for a cell, the least height over the cell's elements has no local maximum above zero in the cell.
         """
         candidates: list[tuple[Floats, Floats, Ints]] = []  # directions, slacks, and the cells to which they belong
         answers = np.ones(len(middles), dtype=bool)

@@ -1,8 +1,8 @@
 """Write bodies for other programs, as MJCF, URDF and STL.
 
 Spheres, cylinders, capsules, ellipsoids and boxes become shapes of the same type if the format has this type. Any other
-polytope becomes a mesh that has the polytope as its convex hull. Curved pieces without a matching type are replaced
-with circumscribed polytopes, except inner ellipsoids, which are replaced with inscribed polytopes.
+polytope becomes a mesh whose convex hull is the polytope. A curved piece without a matching type is replaced with a
+circumscribed polytope. An inner ellipsoid without a matching type is replaced with an inscribed polytope.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from loewner.meshes.files.stl import FACETS
 
 ELLIPSOIDS = ("inner", "outer")
 
-# Kinds of curved pieces for which MJCF has a shape; other pieces become meshes.
+# Kinds of curved pieces for which MJCF has a shape. Other curved pieces become meshes.
 MJCF = ("sphere", "cylinder", "capsule", "ellipsoid")
 
-# In a format without ellipsoids, an icosahedron that is divided DIVISIONS times replaces an ellipsoid. The icosahedron
-# has 320 triangles, and deviates by at most 4 % of the semi-axes.
+# In a format without ellipsoids, an icosahedron that is subdivided DIVISIONS times replaces an ellipsoid. It has 320
+# triangles, and deviates from the ellipsoid by at most 4 % of the semi-axes.
 DIVISIONS = 2
 
-# A polytope is written as a box if its corners deviate from a box's by at most this relative distance, one or two
-# roundings.
+# A polytope is written as a box if its corners deviate from the corners of a box by at most this relative distance,
+# which is one or two roundings.
 BOX_ROUNDING = 1e-13
 
 # Area [m²] and volume [m³] below which MuJoCo may reject a mesh as too small; MuJoCo's limit is 1e-15.
@@ -51,7 +51,8 @@ SMALLEST = 1e-14
 OUTWARD = 1 + 1e-12
 
 
-# Bound on the rounding of corners in single precision and in the axes of inertia, relative to the largest coordinate.
+# Bound on MuJoCo's rounding of a mesh's corners, relative to the largest coordinate. MuJoCo stores the corners in
+# single precision, in the frame of the mesh's axes of inertia.
 SINGLE = 2.0**-20
 
 # A mesh is convex if no corner is above a face by more than this share of the largest coordinate.
@@ -67,8 +68,8 @@ class Shape:
     kind : str
         "sphere", "cylinder", "capsule", "ellipsoid", "box" or "mesh".
     sizes : tuple of float
-        In metres: the radius of a sphere; the radius and length of a cylinder, or of a capsule's straight part; the
-        semi-axes of an ellipsoid; the edge lengths of a box.
+        In metres: the radius of a sphere; the radius and the length of a cylinder; the radius and the length of the
+        straight part of a capsule; the semi-axes of an ellipsoid; or the edge lengths of a box.
     rotation, center : ndarray, shapes (3, 3) and (3,)
         Pose of the shape; for a mesh, the identity and zero.
     mesh : tuple of ndarray, or None
@@ -84,7 +85,7 @@ class Shape:
     def wider(self, by: float) -> Shape:
         """Return the shape enlarged on each side; a solid or a sphere is returned unchanged.
 
-        The corners of a convex mesh move farther outward, to cover MuJoCo's rounding to single precision.
+        The corners of a convex mesh move slightly farther outward, to cover MuJoCo's rounding to single precision.
         """
         if not by or self.kind == "sphere":
             return self
@@ -95,7 +96,7 @@ class Shape:
 
 
 def _wider_mesh(vertices: Floats, triangles: Any, by: float) -> Mesh:
-    """Scale a convex mesh so that each face moves outwards; other meshes are returned unchanged."""
+    """Scale a convex mesh so that each face moves outward by at least `by`; return any other mesh unchanged."""
     middle = vertices.mean(axis=0)
     corners = vertices[triangles]
     normals = normals_of(corners)
@@ -128,7 +129,10 @@ def add_geoms(
     which: str | None = None,
     wider: float = 0.0,
 ) -> None:
-    """Add the shapes of a body, enlarged on each side, to a body element of MJCF, and their meshes to the assets."""
+    """Add a body's shapes to a body element of MJCF, and their meshes to the assets.
+
+    The shapes are enlarged by `wider` [m] on each side.
+    """
     name = body.attrib["name"]
     for number, shape in enumerate(each.wider(wider) for each in _listed(packed, which)):
         geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
@@ -136,7 +140,7 @@ def add_geoms(
             vertices = numbers(shape.mesh[0].ravel())
             mesh = ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=vertices)
             if _is_small(*shape.mesh, number):
-                mesh.set("inertia", "shell")  # MuJoCo refuses any other inertia for such a small volume
+                mesh.set("inertia", "shell")  # for such a small volume, MuJoCo refuses any other inertia
             geom.set("mesh", f"{name}_{number}")
             continue
         half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
@@ -171,17 +175,17 @@ def save_text(text: str, path: Path) -> None:
 
 
 def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -> None:
-    """Write the mesh files of a robot with one link, then its URDF."""
+    """Write a robot with one link: first its mesh files, and then its URDF."""
     root = ElementTree.Element("robot", name=path.stem)
     link = ElementTree.SubElement(root, "link", name=path.stem)
     meshes = add_collisions(link, packed, path, which, mesh_prefix)
-    with replacing(path) as temporary:  # a name that cannot be written is reported before any mesh is written
+    with replacing(path) as temporary:  # a path that cannot be written raises an error before any mesh is written
         save_texts(meshes)
         temporary.write_text(text_of(root), encoding="utf-8")
 
 
 def save_stl(packed: Packed, path: Path) -> None:
-    """Write the triangles of all pieces, whose corners are rounded to single precision."""
+    """Write the triangles of all pieces, with corners rounded to single precision."""
     thick = (packed.layout[:, columns.KIND] < columns.POLYTOPE) & (packed.frames[:, 0] > 0.0)
     if thick.any():
         raise InputError(
@@ -211,7 +215,7 @@ def add_collisions(
     """Add the shapes of a body to a link of the URDF at `path`, and return the contents of its mesh files.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side. A solid becomes a mesh of its
-    triangles if `accepted` returns true for them; any other solid is refused, like all open surfaces.
+    triangles if `accepted` returns true for this mesh. All other solids and all open surfaces are refused.
     """
     meshes: dict[Path, str] = {}
     listed = (shape.wider(wider) for shape in _listed(packed, which, accepted))
@@ -234,7 +238,7 @@ def add_collisions(
 
 
 def add_origin(element: ElementTree.Element, rotation: Floats, center: Floats) -> None:
-    """Add a pose to an element, in the form that URDF requires."""
+    """Add a pose to an element of a URDF."""
     ElementTree.SubElement(element, "origin", xyz=numbers(center), rpy=numbers(to_rpy(rotation)))
 
 
@@ -245,7 +249,7 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the kind of the first piece that becomes a larger polytope because URDF lacks its shape, or None."""
+    """Return the kind of the first piece that a larger polytope replaces because URDF lacks its shape, or None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)
@@ -262,7 +266,7 @@ def plain_name(name: Any, what: str = "name") -> str:
 
 
 def prefix(text: Any) -> str:
-    """Check the prefix of a file name, which may be any printable string."""
+    """Check the prefix of mesh file names, which may be any printable string."""
     if not isinstance(text, str) or not text.isprintable():
         raise InputError(f"mesh_prefix: expected printable text, found {_validate.short(text)}")
     return text
@@ -289,7 +293,7 @@ def _obj(vertices: Floats, triangles: Any) -> str:
 
 
 def _listed(packed: Packed, which: str | None, accepted: Callable[[Mesh], bool] | None = None) -> list[Shape]:
-    """Convert the pieces, or the inner or outer ellipsoid of each, to shapes."""
+    """Convert all pieces to shapes; with `which`, convert their inner or outer ellipsoids instead."""
     if which is not None:
         _validate.choice(which, "ellipsoids", ELLIPSOIDS)
         fitted = zip(*ellipsoids_of(packed, which), strict=True)
@@ -331,23 +335,23 @@ def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
 
 
 def _proper(axes: Floats) -> Floats:
-    """Make axes right-handed; the first may be flipped, since every shape here is symmetric along it."""
+    """Make axes right-handed; the first axis may be flipped, since every shape here is symmetric along it."""
     return axes if np.linalg.det(axes) > 0 else axes * [-1.0, 1.0, 1.0]
 
 
 def _mesh(mesh: Mesh) -> Shape:
-    """Make the shape of a mesh from the corners that it uses."""
+    """Make the shape of a mesh, without corners that no triangle uses."""
     used, triangles = np.unique(mesh[1], return_inverse=True)
     return Shape("mesh", (), np.eye(3), np.zeros(3), (mesh[0][used], triangles.reshape(-1, 3)))
 
 
 def _box(vertices: Floats) -> Shape | None:
-    """Find the box that has these eight points as corners; None if there is no such box."""
+    """Find the box whose corners are the given points; None if there is no such box."""
     if len(vertices) != 8:
         return None
     from_first = vertices - vertices[0]
     order = np.argsort(np.linalg.norm(from_first, axis=1))
-    # The two corners nearest to the first one are at the ends of edges, and the three edges add up to the diagonal.
+    # Edges lead from the first corner to the two corners nearest to it. The three edges add up to the diagonal.
     a, b, opposite = from_first[order[[1, 2, 7]]]
     edges = np.array([a, b, opposite - a - b])
     size = np.linalg.norm(edges, axis=1)

@@ -30,7 +30,8 @@ BODIES = Format(
     optional=frozenset(("covering",)),
 )
 
-# Version 2 has surfaces; bodies without surfaces are written as version 1, which an older loewner can read.
+# Surfaces require version 2. Bodies without surfaces are written as version 1, which older versions of loewner can
+# read.
 WITH_SURFACES, WITHOUT = 2, 1
 
 COVERINGS = ("convex", "hull", "decomposition", "solid", "cover", "swept")
@@ -65,7 +66,7 @@ def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
 
 
 def _covering(values: list[str]) -> Covering:
-    """Read the covering of a mesh by its pieces from the six strings that `save` writes.
+    """Read how well pieces cover a mesh, from the six strings that `save` writes.
 
     Older files have five strings, without `max_protrusion`, which becomes NaN.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from loewner._base._matrices import components, normals_of
 from loewner._base._validate import Floats, Ints
 
-# Neighbouring triangles at a smaller angle [rad] count as lying in one plane.
+# Two neighbouring triangles count as coplanar if the angle between them [rad] is smaller.
 FLAT = 1e-3
 
 
@@ -22,7 +22,7 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     Returns
     -------
     ndarray of int, shape (T,)
-        Two triangles that share an edge have the same number if they lie in one plane or continue a smooth surface.
+        Two triangles that share an edge have the same number if they are coplanar or nearly coplanar.
     """
     normals = normals_of(vertices[triangles])
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)

@@ -18,9 +18,9 @@ from loewner._kernels import columns
 from loewner.errors import InputError
 
 Mesh = tuple[Floats, Ints]
-# A function that fits ellipsoids to k pieces in the frames of the pieces. The arguments are the radii of the balls,
-# shape (k,), and the semi-axes of the images, shape (k, 3). The results are semi-axes, and the heights of the centers
-# along the third axis.
+# A function that fits ellipsoids to k pieces, in the frames of the pieces. The arguments are the radii of the added
+# balls, shape (k,), and the semi-axes of the unit shape's images, shape (k, 3). The results are the ellipsoids'
+# semi-axes, and the heights of their centers along the third axis.
 Fit = Callable[[Floats, Floats], tuple[Floats, Floats | float]]
 # A function of points or directions, shape (k, 3).
 Function = Callable[[Floats], Floats]
@@ -43,18 +43,18 @@ def _missing(_: Floats) -> Floats:
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, with a ball added (see `_kernels.pieces.shapes`).
 
-    `name` is the name of a `Body` constructor; `sizes` computes its arguments from the ball's radius and the image's
-    semi-axes. Scene files give the sizes as separate fields, named by `size_names`, or as one vector if there are no
-    names. `is_ball` marks kinds that are their own ellipsoids.
+    `name` is the name of a `Body` constructor; `sizes` computes the constructor's arguments from the ball's radius and
+    the image's semi-axes. In scene files, the sizes are separate fields, named by `size_names`, or one vector if there
+    are no names. `is_ball` marks kinds whose pieces equal their inner and outer ellipsoids.
 
-    `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, this mesh contains the
-    unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` are the optimal ellipsoids. `gauge` is a
-    convex function of points whose gradients have lengths of at most 1. The gauge is at most 1 in the unit shape, less
-    than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function. Covers refuse
-    kinds that lack `gauge` or `support`.
+    `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, the mesh contains the
+    unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` fit the optimal ellipsoids. `gauge` is a
+    convex function of points whose gradient is nowhere longer than 1. The gauge is at most 1 in the unit shape, less
+    than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function of the unit
+    shape. Covers refuse kinds without `gauge` or `support`.
 
-    If a ball is added, `gauge` and `support` are not needed, `core` is half the length of the unit segment to which the
-    ball is added (0 for a point), and `mesh` triangulates the unit ball.
+    For a kind with an added ball, `gauge` and `support` are not needed, and `mesh` triangulates the unit ball. `core`
+    is half the length of the segment to which the ball is added; it is 0 for a point.
     """
 
     name: str
@@ -70,9 +70,9 @@ class Kind(NamedTuple):
     is_ball: bool = False
 
     def share(self, points: Floats) -> Floats:
-        """Compute, for each point, a share of the segment from the origin to the point that stays in the unit shape.
+        """Compute a factor for each point; multiplied by the factor, the point is in the unit shape.
 
-        The share follows from convexity, since `gauge` is below 1 at the origin and is known at the point.
+        The factor follows from the gauge at the origin, the gauge at the point, and the convexity of the gauge.
         """
         center = 1.0 - float(self.gauge(np.zeros((1, 3)))[0])
         return np.asarray(center / (center + np.maximum(self.gauge(points) - 1.0, 0.0)))
@@ -95,7 +95,7 @@ def ball(subdivisions: int = 3) -> Mesh:
 
 
 def inradius(subdivisions: int = 3) -> float:
-    """Compute the radius of the ball about the origin that touches the nearest triangle of `ball`."""
+    """Compute the radius of the largest ball about the origin inside the triangles of `ball`."""
     vertices, triangles = ball(subdivisions)
     corners = vertices[triangles]
     across = normals_of(corners)
@@ -111,7 +111,7 @@ def _faces(corners: Floats) -> Ints:
 
 
 def revolved(*profile: tuple[float, float]) -> Mesh:
-    """Triangulate a solid of revolution about the third axis, from radii and heights, the lowest first."""
+    """Triangulate a solid of revolution about the third axis; `profile` lists radii and heights from bottom to top."""
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     circle = np.column_stack([_elementary.cos(angle), _elementary.sin(angle)])
     rings = [np.column_stack([r * circle, np.full(SEGMENTS, float(z))]) for r, z in profile]
@@ -126,7 +126,7 @@ def revolved(*profile: tuple[float, float]) -> Mesh:
 
 
 def _around_axis(function: Callable[[Floats, Floats], Floats]) -> Function:
-    """Turn a function of distances from the third axis and heights into a function of points or directions."""
+    """Turn a function of the distance from the third axis and the height into a function of points or directions."""
     return lambda x: np.asarray(function(np.hypot(x[:, 0], x[:, 1]), x[:, 2]))
 
 
@@ -135,7 +135,7 @@ def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
 
 
 def _image(semi_axes: Sequence[float], height: float = 0.0, divisors: Sequence[float] = (1.0, 1.0, 1.0)) -> Fit:
-    """Make a `Fit`: the image of an ellipsoid fitted to the unit shape, with its semi-axes divided by `divisors`."""
+    """Make a `Fit` from the ellipsoid of the unit shape; `divisors` divide its semi-axes."""
     return lambda _, lengths: (lengths * semi_axes / divisors, lengths[:, 2] * height)
 
 
@@ -150,10 +150,11 @@ def _in_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
     """Compute the smallest ellipsoids, with semi-axes a, a, b, around capsules whose straight part has half length h.
 
-    The support function of the ellipsoid must be at least h|cos| + r. With k = b² - a² - h², this means that a² - r² -
-    2hr c + k c² >= 0 for all c in [0, 1]. The volume is least where k² - 2h²k - 3h²r² = 0.
+    Let r be the radius of the capsule. The support function of the ellipsoid must be at least h|c| + r, where c is the
+    cosine of the direction's angle with the axis. With k = b² - a² - h², this means that a² - r² - 2hr c + k c² >= 0
+    for all c in [0, 1]. The volume is least where k² - 2h²k - 3h²r² = 0.
     """
-    # Compute in units of the greater length, so that no square over- or underflows.
+    # The unit is the greater of the two lengths, so that no square over- or underflows.
     half = lengths[:, 2]
     unit = np.maximum(radius, half)
     x, y = radius / unit, half / unit
@@ -165,10 +166,11 @@ def _around_capsules(radius: Floats, lengths: Floats) -> tuple[Floats, float]:
 
 _UNIT = _image((1.0, 1.0, 1.0))
 _AROUND_CYLINDER = _image((math.sqrt(1.5), math.sqrt(1.5), math.sqrt(3.0)))
-# The semi-axes across the cone are 1 / √2 and 3 / √8 times the radius.
+# Across the cone, the semi-axes are 1/√2 times the radius inside, and 3/√8 times the radius outside.
 _IN_CONE = _image((1.0, 1.0, 0.5), -0.5, (math.sqrt(2.0), math.sqrt(2.0), 1.0))
 _AROUND_CONE = _image((3.0, 3.0, 1.5), -0.5, (math.sqrt(8.0), math.sqrt(8.0), 1.0))
-# Inradius of a polygon inscribed in the unit circle: the cosine of π / 48, by halving π / 3 four times.
+# Inradius of a regular polygon with 48 corners on the unit circle: the cosine of π / 48, computed by halving π / 3 four
+# times.
 _POLYGON = 0.5
 for _ in range(4):
     _POLYGON = math.sqrt((1.0 + _POLYGON) / 2.0)
@@ -193,7 +195,8 @@ CURVED = {
         "sphere", lambda radius, _: (radius,), ball, _same, _same, size_names=("radius",), core=0.0, is_ball=True
     ),
 }  # fmt: skip
-# The numbers of kinds that are their own ellipsoids, and the numbers of kinds with an added ball.
+# BALLS lists the numbers of kinds whose pieces equal their ellipsoids, and ROUND the numbers of kinds with an added
+# ball.
 BALLS = [number for number, kind in CURVED.items() if kind.is_ball]
 ROUND = [number for number, kind in CURVED.items() if kind.core is not None]
 FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}

@@ -1,4 +1,4 @@
-"""Lay pieces out in flat arrays, and make the kernels' arrays: tables, vertices in blocks, trees, addresses."""
+"""Lay pieces out in flat arrays, and make the kernels' arrays: tables, blocks of vertices, trees, addresses."""
 
 from __future__ import annotations
 
@@ -20,32 +20,34 @@ from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
 
-# Outside this range, the sixth powers of lengths in the contact function overflow or underflow. Real bodies are far
-# from either end.
+# Range of lengths [m]. Outside this range, the sixth powers of lengths in the contact function overflow or underflow.
+# Real bodies are far from both ends.
 SMALLEST, LARGEST = 1e-30, 1e30
 
-# A pose accepted as rigid may still stretch or shrink lengths.
+# Share by which a pose that is accepted as rigid may still stretch or shrink lengths.
 BEND = 2 * tolerances.ROTATION_TOLERANCE  # certified.md B22
 
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # certified.md B23
 
-# Assumed bound on the error of singular values, relative to the largest one; tests compare it with LAPACK's errors.
+# Assumed bound on the errors of singular values, relative to the largest singular value; tests compare LAPACK's errors
+# with this bound.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
-# Bound on the rounding errors of LAPACK and of two products with a nearly orthonormal matrix, with 3 terms per entry.
+# Bound on the rounding errors of a nearly orthonormal matrix from LAPACK, and of two products with this matrix, which
+# have three terms per entry.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # Number of products of directions and vertices computed at a time.
 AT_ONCE = 1_000_000
 
-# Types of the arrays of `records.Pieces`, as words that `entries` defines.
+# Types of the arrays in `records.Pieces`: F float64, S float32 or I int64, and the number of axes.
 _WORDS = ["F2", "I2", "F1", "I1", "F2", "S2", "F1", "I1", "I1", "S1", "F2", "I1"]
 
-# For each corner of a box, 0 or 1 for the lower or upper end along each axis.
+# The corners of a box. Along each axis, 0 is the lower end, and 1 is the upper end.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
 
-# Range of sizes in which the certificate may first work in single precision (docs/certified.md).
+# Range of sizes in which the certificate may start in single precision (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
 
 
@@ -56,16 +58,18 @@ class PieceArrays(KeepsReadOnly):
     Attributes
     ----------
     layout : ndarray of int64, shape (P, 5)
-        Kind of the piece, first row and end (one past the last row) of its points, and first row and end of its planes.
+        Kind of the piece, first row and end of its points, and first row and end of its planes. An end is one past the
+        last row.
     points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices, and faces as rows of a unit outward normal n and an offset; points x of the piece satisfy n·x <=
-        offset.
+        ``points`` has the vertices. Each row of ``planes`` is a face: its unit outward normal n, and its offset. All
+        points x of the piece satisfy n·x <= offset.
     piece_start : ndarray of int64, shape (n + 1,)
         Start of each body's range of pieces: body i has pieces piece_start[i] : piece_start[i+1].
     frames : ndarray, shape (P, 13)
-        Rounding radius, center and factor of the unit shape's image (zero for polytopes).
+        Rounding radius, and center and factor of the unit shape's image; zeros for polytopes.
     triangles, triangle_start
-        Hull triangles of the polytopes, as indices into the piece's own points.
+        Triangles of polytopes and surfaces, as indices into the piece's own points, and the start of each piece's
+        triangles.
     inner_center, inner_factor, outer_center, outer_factor
         The ellipsoids, shapes (P, 3) and (P, 3, 3).
     gaps : ndarray, shape (P, 2)
@@ -120,7 +124,7 @@ def laid_out(
     radius: float = 0.0,
     **others: Any,
 ) -> PieceArrays:
-    """Lay out one body of pieces of the given kinds, without points, planes or triangles unless these are given.
+    """Lay out one body of pieces; arrays that are not passed are empty.
 
     Parameters
     ----------
@@ -131,9 +135,9 @@ def laid_out(
     gaps : ndarray, shape (P, 2)
         Log-volume gaps of the fits.
     point_start, plane_start : ndarray of int64, shape (P + 1,), optional
-        Starts of the pieces' ranges of points and of planes; by default the ranges are empty.
+        Starts of the pieces' ranges of points and of planes; by default, all ranges are empty.
     radius : float
-        Rounding radius of all pieces, unless `frames` is given.
+        Rounding radius of all pieces; unused if `frames` is given.
     **others : ndarray
         Further arrays of `PieceArrays`.
     """
@@ -156,13 +160,13 @@ def laid_out(
 def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
     """Make the arrays for kernels, with the direction maps of large pieces and the trees of surfaces.
 
-    `loewner._kernels.pieces.shapes` describes them. The arrays are writeable, because Numba would treat read-only
+    `loewner._kernels.pieces.shapes` describes the arrays. They are writeable, because Numba would treat read-only
     arrays as a different type and compile everything twice.
 
     Raises
     ------
     GeometryError
-        If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
+        If a piece is smaller than `SMALLEST`, or larger than `LARGEST`.
     """
     table = _table(p)
     layout, points = _kernel_points(p, maps, trees)
@@ -175,9 +179,11 @@ def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
 
 
 def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
-    """Join the kernels' arrays of several packs, in order, as `kernel_arrays` would make them from all pieces.
+    """Join the kernels' arrays of several packs, in order.
 
-    For a cloud, making the arrays anew would take a hundred times as long as joining them.
+    The result is the same as from `kernel_arrays` for all pieces.
+
+    Joining a cloud's arrays takes a hundredth of the time of making them anew.
     """
     counts = [len(pack.piece_start) - 1 for pack in packs]
     numbers = np.concatenate([np.arange(count) for count in counts])
@@ -189,7 +195,7 @@ def joined_kernel(packs: Sequence[Any]) -> records.Pieces:
 
 
 def array_in(memory: NDArray[Any], row: Sequence[int], word: str) -> Any:
-    """Return the array in `memory` that a row of a table describes; `word` names the array's type, as in `entries`."""
+    """Return the array in `memory` that a row of a table describes; `word` is its type, as in `_WORDS`."""
     address, *shape = row
     within = address - memory.ctypes.data if 0 not in shape else 0  # an empty array may have any address
     kind = {"F": np.float64, "S": np.float32, "I": np.int64}[word[0]]
@@ -197,7 +203,7 @@ def array_in(memory: NDArray[Any], row: Sequence[int], word: str) -> Any:
 
 
 def one_body(kernel: records.Pieces) -> records.Pieces:
-    """Make one body of all pieces."""
+    """Combine all pieces into one body."""
     start = np.array([0, len(kernel.table)])
     groups, children, roots = _trees(kernel.table, start)
     return kernel._replace(piece_start=start, groups=groups, children=children, roots=roots)
@@ -206,8 +212,8 @@ def one_body(kernel: records.Pieces) -> records.Pieces:
 def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats], reach: float) -> records.Pieces:
     """Make the kernels' arrays for the parts of a surface, as one body.
 
-    An exact search on a part uses the tree of the whole surface. The search may therefore find a collision with another
-    part, which is a collision of the same two bodies.
+    An exact search on a part uses the tree of the whole surface. If the search finds a collision with another part
+    instead, that is also a collision of the same two bodies.
 
     Parameters
     ----------
@@ -215,9 +221,10 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
     tree : SurfaceTree
         The whole surface's tree.
     around : sequence of ndarray, shape (k, 3)
-        For each part, points whose convex hull contains its triangles, without the radius.
+        For each part, points whose convex hull contains the part's triangles, without the radius.
     reach : float
-        Reach of the whole surface, since rounding bounds must hold for all triangles of the tree.
+        Reach of the whole surface, which the bounds on rounding use, since they must hold for all triangles of the
+        tree.
     """
     table, count = _table(p), len(around)
     table[:, columns.REACH] = reach
@@ -236,14 +243,14 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
 
 
 def _in_blocks(points: Floats) -> Floats:
-    """Arrange points, shape (k, 3), in blocks of eight; repeats of the last point fill up the last block."""
+    """Arrange points, shape (k, 3), in blocks of eight; copies of the last point fill up the last block."""
     count = -(-len(points) // columns.BLOCK) * columns.BLOCK
     filled = points[np.minimum(np.arange(count), len(points) - 1)]
     return filled.reshape(-1, columns.BLOCK, 3).transpose(0, 2, 1)
 
 
 def _end_to_end(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Concatenate flat arrays, at the start of a cache line."""
+    """Concatenate flat arrays; the result starts at a cache line."""
     flat_array: NDArray[Any] = records.aligned(sum(map(len, arrays)), arrays[0].dtype)
     return np.concatenate(arrays, out=flat_array)
 
@@ -269,10 +276,10 @@ def surface_trees(p: PieceArrays) -> Trees:
 def heights_of(
     points: Floats, normals: Floats, center: Floats, factor: Floats, most: float = np.inf
 ) -> tuple[Floats, int]:
-    """Find the largest normal·vertex of a large polytope for each normal, and count the products computed.
+    """For each normal, find the largest normal·vertex over the vertices of a large polytope; also count the products.
 
-    The direction map uses coordinates in which the inner ellipsoid is a ball, so that few candidates remain for any
-    piece.
+    The direction map is made in coordinates in which the inner ellipsoid is a ball, so that few candidates remain for
+    any shape.
 
     Parameters
     ----------
@@ -281,7 +288,7 @@ def heights_of(
     center, factor : ndarray, shape (3,) and (3, 3)
         The inner ellipsoid.
     most : float
-        Limit on the number of products computed.
+        Limit on the number of products.
 
     Raises
     ------
@@ -308,7 +315,7 @@ def heights_of(
 
 
 def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
-    """Find the cube face and the grid cell that each direction goes through, as numbered in `directions`."""
+    """Find the cube face and the cell of its grid through which each direction goes, numbered as in `directions`."""
     axis = np.argmax(np.abs(normals), axis=1)
     one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
     each = np.arange(len(normals))
@@ -329,7 +336,7 @@ def starts(lengths: Ints) -> Ints:
 def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floats]:
     """Make the kernels' layout and points.
 
-    The points of a piece are its vertices in blocks; for a large polytope, its direction map; or for a surface, the
+    The points of a piece are its vertices in blocks. A large polytope has its direction map instead, and a surface the
     corners of a box around it.
     """
     first = p.layout[:, columns.POINTS_FROM].copy()
@@ -348,7 +355,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
         width[i] = len(chosen)
         room[i] = len(chosen) + -(-nodes.size // (3 * columns.BLOCK)) * columns.BLOCK
     begin = starts(room)
-    # Repeats of the last point, which change no maximum, fill up a block.
+    # Copies of the last point fill up a block, since they change no maximum.
     if (lengths == columns.BLOCK).all() and np.array_equal(first, begin[:-1]):  # as for boxes
         filled = vertices[: begin[-1]]
     else:
@@ -367,7 +374,10 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
 
 
 def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
-    """Make the rows of ellipsoids around parts of surfaces, and the range of each piece; empty without surfaces."""
+    """Make the table's rows for ellipsoids around parts of surfaces and inside solids, and the rows of each piece.
+
+    Without surfaces, both arrays are empty.
+    """
     start = np.zeros((len(p.layout) if trees else 0, columns.PARTS), dtype=np.int64)
     none = np.zeros((0, 3)), np.zeros((0, 3, 3))
     ellipsoids = [(*none, *none)]
@@ -375,8 +385,8 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
     for i, tree in trees.items():
         center, factor = tree.outer_ellipsoids(p.frames[i, 0])
         outer, inner = len(center), len(tree.inner_center)
-        # Unused columns have inner ellipsoids without size, which prove nothing, and the whole surface's outer
-        # ellipsoid.
+        # Each row is for an ellipsoid around a part, or for an ellipsoid inside a solid. The unused columns of the row
+        # have an inner ellipsoid without size, which proves nothing, or the whole surface's outer ellipsoid.
         inner_center, inner_factor = np.concatenate([center, tree.inner_center]), np.zeros((outer + inner, 3, 3))
         inner_factor[outer:] = tree.inner_factor
         center = np.concatenate([center, np.repeat(p.outer_center[i : i + 1], inner, axis=0)])
@@ -389,11 +399,12 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
 
 
 def _box_corners(points: Floats, triangles: Ints) -> Floats:
-    """Find the corners of a box with little surface area around all points; the triangles determine its axes."""
+    """Find the corners of a box around all points with a small surface area; the triangles determine its axes."""
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = image(turn.T, points).T
-    # Bound on the rounding of a rotation and its inverse, by a matrix that is orthonormal up to a few roundings.
+    # Bound on the rounding when points are turned and turned back by a matrix that is orthonormal up to a few
+    # roundings.
     slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
     ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
     return np.asarray(image(turn, ends[_CORNERS, np.arange(3)]))
@@ -410,9 +421,9 @@ def _table(p: PieceArrays) -> Floats:
 def _ellipsoid_columns(
     outer_center: Floats, outer_factor: Floats, inner_center: Floats, inner_factor: Floats
 ) -> Floats:
-    """Make a table and fill its columns for ellipsoids: shape matrices and one-sided bounds on sizes."""
+    """Make a table, and fill in its columns for ellipsoids: centers, shape matrices, and one-sided bounds on sizes."""
     table = np.zeros((len(outer_center), columns.COLUMNS))
-    # Sizes are checked before a product can overflow; a factor's entries are no larger than the longest semi-axis.
+    # Check sizes before a product can overflow. A factor's entries are no larger than the longest semi-axis.
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
@@ -432,7 +443,7 @@ def _ellipsoid_columns(
     table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
     table[:, columns.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
     table[:, columns.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
-    # The inner ellipsoid lies in the piece and the piece in the outer one.
+    # The outer ellipsoid contains the piece, and thus the inner ellipsoid.
     table[:, columns.REACH] = (lengths(outer_center) + outer[:, 0]) * (1 + slack) * (1 + bend)
     reach = table[:, columns.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
@@ -458,7 +469,7 @@ def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
 
 
 def _single(hot: Floats) -> NDArray[np.float32]:
-    """Convert the kernels' hot columns to single precision if all sizes allow it; otherwise return no rows."""
+    """Convert the kernels' most used columns to single precision if all sizes allow it; otherwise return no rows."""
     least, most = SINGLE_SIZES
     if len(hot) == 0 or hot[:, columns.OUTER_RADIUS].min() < least or hot[:, columns.REACH].max() > most:
         return np.empty((0, columns.HOT), dtype=np.float32)
@@ -468,12 +479,12 @@ def _single(hot: Floats) -> NDArray[np.float32]:
 
 
 def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
-    """Build trees over the pieces of the bodies that have many pieces."""
+    """Build a tree over the pieces of each body that has many pieces."""
     n = len(piece_start) - 1
     if np.diff(piece_start).max(initial=0) < columns.FEW:
         return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
     center = table[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    # The widths of an ellipsoid along the axes are the square roots of its shape matrix's diagonal; boxes are rounded
+    # An ellipsoid's half widths along the axes are the square roots of its shape matrix's diagonal. Boxes are rounded
     # outward.
     half = np.sqrt(table[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]])
     half += tolerances.POSITION_ROUNDINGS * table[:, columns.REACH, None]

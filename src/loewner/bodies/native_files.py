@@ -1,14 +1,14 @@
-"""Flat files of arrays for programs without Python: `native/capi/files.c` maps them, and checks their whole contents.
+"""Write flat files of arrays for programs without Python; `native/capi/files.c` maps and checks such files.
 
-A file is a header, a directory of arrays, and the arrays, each at the start of a cache line. Kernels use these arrays
-unchanged, except for addresses, which the reader fills in. The layout of the arrays is specific to one version of the
-kernels. The header therefore names the version, and no other version can read the file.
+A file consists of a header, a directory, and arrays. Each array starts at a cache line. Kernels use the arrays as they
+are; the reader only fills in addresses. The layout of the arrays belongs to one version of the kernels. The header
+names this version, and no other version can read the file.
 
 The header contains the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after the
-checksum, the hash of the kernels' sources, and eight numbers. The first seven numbers count the arrays, values of a
-configuration, links, moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces; the
-eighth number is 0. A row of the directory contains a type (0 int64, 1 float64, 2 float32, 3 bytes), the numbers of rows
-and columns, and an offset in bytes.
+checksum, the hash of the kernels' sources, and eight numbers. The first seven numbers are the numbers of arrays, values
+of a configuration, links, moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces;
+the eighth number is 0. Each row of the directory contains the type of an array (0 int64, 1 float64, 2 float32, 3
+bytes), its numbers of rows and columns, and its offset in bytes.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ LINE = columns.CACHE_LINE
 
 TYPES = {np.dtype(np.int64): 0, np.dtype(np.float64): 1, np.dtype(np.float32): 2, np.dtype(np.uint8): 3}
 
-# The golden ratio in 64 bits; its odd multiples are the factors of the words in the checksum.
+# The golden ratio in 64 bits. Its multiples, made odd, are the factors of the words in the checksum.
 GOLDEN = 0x9E3779B97F4A7C15
 
-# Arrays that precede the packs; in a file of bodies alone, all these arrays except the names are empty.
+# Arrays that precede the packs. In a file that has only bodies, all arrays in this list except the names are empty.
 BEFORE = (
     "names", "parent", "kind", "column", "multiplier", "offset", "constants", "limits", "joints",
     "quaternions", "link", "pairs", "margins", "order", "margin", "poses", "own", "lowered", "rules",
@@ -50,7 +50,7 @@ _NO_NUMBERS = np.zeros(0)
 
 
 def is_meant(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names a ``.lwn`` file; False for anything that is not a path."""
+    """Return whether a path names a ``.lwn`` file; return False for anything that is not a path."""
     try:
         return os.fsdecode(path).endswith(SUFFIX)
     except Exception:  # the caller's path-like object may raise any error
@@ -58,7 +58,7 @@ def is_meant(path: str | os.PathLike[str]) -> bool:
 
 
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
-    """Write bodies alone, named by their numbers; see `write`."""
+    """Write a file that has only bodies, named by their indices; see `write`."""
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
@@ -83,10 +83,10 @@ def write(
     names : sequence of sequences of str
         Names of bodies, of links, and of the values of a configuration.
     arrays : dict
-        Arrays by their names in `BEFORE`; missing arrays are empty.
+        Arrays, keyed by their names in `BEFORE`; missing arrays are empty.
     packs : sequence of Packed
-        The bodies. If surfaces can be cut, two more packs of the same bodies follow: one with all surfaces in parts,
-        and one in which only static bodies without solids are cut, into small parts.
+        The bodies. If surfaces can be cut into parts, two more packs of the same bodies follow. In the first, all
+        surfaces are cut. In the second, only static bodies without solids are cut, into small parts.
     counts : tuple of int
         Values of a configuration, links, and moving bodies.
 
@@ -143,7 +143,10 @@ def _lines(size: int) -> int:
 
 
 def checksum(content: bytes) -> int:
-    """Sum 64-bit words, each times an odd number that depends on its position; changing any word changes the sum."""
+    """Sum 64-bit words, each multiplied by an odd number that depends on its position.
+
+    Changing any one word changes the sum.
+    """
     words = np.frombuffer(content, dtype="<u8")
     with np.errstate(over="ignore"):
         factors = np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(GOLDEN) | np.uint64(1)

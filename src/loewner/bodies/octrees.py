@@ -1,7 +1,8 @@
-"""Read OctoMap octrees: the boxes of the occupied leaves in a binary file.
+"""Read OctoMap octrees from binary files, as the boxes of their occupied leaves.
 
-OctoMap's own reader recurses as deep as a file demands, so a damaged file can crash the process. The format is simple:
-a text header, then two bytes for each inner node in depth-first order, with two bits per child.
+The format is simple: a text header is followed by two bytes for each inner node, in depth-first order, with two bits
+per child. OctoMap's own reader is not used, because it recurses as deep as a file demands, so that a damaged file can
+crash the process.
 """
 
 from __future__ import annotations
@@ -19,17 +20,18 @@ from loewner._base._files import read_regular, shown
 from loewner._base._validate import Floats, Ints
 from loewner.errors import FileError, GeometryError
 
-# Largest size of a file in bytes, ten times the size for a building at a resolution of one centimetre.
+# Largest size of a file in bytes. A building at a resolution of one centimetre takes a tenth of this size.
 MOST_BYTES = 2**30
 
-# The binary data begins after the first line feed that follows "data", even if its first bytes look like white space.
+# The binary data begins after the first line feed that follows "data", even if the data's first bytes look like white
+# space.
 HEADER = re.compile(
     rb"# Octomap OcTree binary file\s*\n(?:#[^\n]*\n)*id OcTree\s*\nsize (\d+)\s*\nres ([-+.\deE]+)\s*\ndata[ \t\r]*\n"
 )
 
 LEVELS = 16  # the depth of an OctoMap tree, whose keys have 16 bits per axis
 
-# Values of a child's two bits; the other values are 1 for a free child and 0 for an absent child.
+# Values of a child's two bits. The remaining values are 1 for a free child, and 0 for an absent child.
 OCCUPIED, INNER = 2, 3
 
 
@@ -75,7 +77,7 @@ def _resolution(text: bytes, file: Path) -> float:
 
 
 def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tuple[Ints, Ints]:
-    """List the keys, three bits per level, of the lower corners of all occupied leaves, and their depths.
+    """List the occupied leaves: the key of the lower corner, with three bits per level, and the depth.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tup
 
 
 def _children(word: int) -> tuple[int, list[int], list[int]]:
-    """Return a node's number of children, its occupied leaves, and its inner nodes, the last inner node first."""
+    """Return a node's number of children, its occupied leaves, and its inner nodes in reverse order."""
     kinds = [word >> 2 * child & 3 for child in range(8)]
     occupied = [child for child, kind in enumerate(kinds) if kind == OCCUPIED]
     return 8 - kinds.count(0), occupied, [child for child in range(7, -1, -1) if kinds[child] == INNER]

@@ -1,4 +1,4 @@
-"""Select, join and move pieces of many bodies in flat arrays."""
+"""Select, join and move pieces of many bodies, which are stored in flat arrays."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from loewner.errors import GeometryError
 
 @dataclass(frozen=True, eq=False)
 class Prepared(PieceArrays):
-    """Pieces of n bodies, with the derived data that is slow to compute.
+    """Pieces of n bodies, with derived data that takes long to compute.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Packed(Prepared):
     addresses : ndarray of int64
         The addresses and lengths of the kernels' arrays.
     handle : int
-        Address of `addresses`, see `loewner._kernels.pieces.pack`; valid as long as this object lives.
+        Address of `addresses` (see `loewner._kernels.pieces.pack`); it is valid as long as this object exists.
     """
 
     kernel: Any
@@ -79,7 +79,7 @@ class Packed(Prepared):
 
     @classmethod
     def of(cls, pieces: PieceArrays, maps: Maps | None = None, trees: Trees | None = None) -> Packed:
-        """Make the arrays for kernels, including direction maps and the trees of surfaces unless they are given.
+        """Make the arrays for kernels; direction maps and the trees of surfaces are made unless they are passed.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Packed(Prepared):
         return cls(**vars(made), kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
-        """Make copies and pickles rebuild the handle, an address that is valid only for this object."""
+        """Make copies and pickles rebuild the handle, because it is an address that is valid only for this object."""
         return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
@@ -140,20 +140,20 @@ def empty() -> Packed:
 
 
 def join(parts: Sequence[Packed]) -> Packed:
-    """Join all bodies of several packs, in order; the kernels' arrays are also joined, not recomputed."""
+    """Join all bodies of several packs, in order; the kernels' arrays are joined, not recomputed."""
     _memory.expect_place(_memory.KERNELS)
     return Packed.with_kernel(joined(parts), joined_kernel(parts))
 
 
 def as_one(parts: Sequence[Packed]) -> Packed:
-    """Make one body of all pieces of several packs."""
+    """Combine all pieces of several packs into one body."""
     pieces = joined(parts)
     kernel = one_body(joined_kernel(parts))
     return Packed.with_kernel(replace(pieces, piece_start=np.array([0, len(pieces.layout)])), kernel)
 
 
 def joined(parts: Sequence[Prepared]) -> Prepared:
-    """Join packs without making the arrays for kernels."""
+    """Join packs, without the arrays for kernels."""
     copied = sum(array.nbytes for part in parts for array in arrays_of(part).values())
     _validate.fits_memory(copied, f"{len(parts)} bodies")
     arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
@@ -178,14 +178,14 @@ def ranges(starts: Ints, stops: Ints) -> Ints:
 
 
 def take(p: Packed, bodies: Ints) -> Packed:
-    """Pack the selected bodies; a body may be selected several times."""
+    """Make a pack of the selected bodies; a body may be selected several times."""
     _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     return some(p, ranges(first, last), starts(last - first)).packed()
 
 
 def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
-    """Regroup the selected pieces, repeats allowed, into bodies that begin at the indices `piece_start`."""
+    """Regroup the selected pieces, possibly with repeats, into bodies that begin at the indices `piece_start`."""
     layout = p.layout[pieces]
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
@@ -206,7 +206,7 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 
 
 def moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, and adjust the ellipsoids so that containment holds despite rounding."""
+    """Move all pieces by one rigid motion, and adjust the ellipsoids so that rounding does not break containment."""
     R, t = T[:3, :3], T[:3, 3]
     points = image(R, p.points) + t + 0.0  # without negative zeros
     normals = image(R, p.planes[:, :3])
@@ -224,15 +224,16 @@ def moved(p: Packed, T: Floats) -> Packed:
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = image(R, p.frames[curved, 1:4]) + t
     frames[:, 4:] = product(R, p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
-    # A moved point, center or factor differs from its exact image by at most 8 roundings of the lengths involved. In
-    # addition, R stretches lengths by its departure from orthonormality.
+    # A moved point, center or factor differs from its exact image by at most 8 roundings of the lengths involved. R
+    # also stretches lengths, because it is only nearly orthonormal.
     table = p.kernel.table
     shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
-    inside = p.inner_factor.any(axis=(1, 2))  # a surface without an inner ellipsoid has one of its points instead
+    inside = p.inner_factor.any(axis=(1, 2))  # the inner ellipsoid of an open surface without a radius is a point
     shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
-    # R stretches ellipsoids, but radii stay the same. The ellipsoids fit the stretched core with a stretched ball;
-    # scaled by the stretch about their centers, they are inside (or around) the core with the kept ball.
+    # R stretches the ellipsoids and the core of a piece, but the radius of the added ball stays the same. The moved
+    # ellipsoids therefore fit the stretched core with a stretched ball. Scaling the ellipsoids about their centers by
+    # the stretch makes them fit the stretched core with the unchanged ball.
     stretched = singular_values(R[None])[0]
     stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2 * SINGULAR_ROUNDINGS)
     rounded = p.frames[:, 0] > 0

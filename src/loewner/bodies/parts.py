@@ -1,4 +1,4 @@
-"""Cut surfaces into parts, which proofs of motions replace with their convex hulls."""
+"""Cut surfaces into parts; proofs of motions replace each part with its convex hull."""
 
 from __future__ import annotations
 
@@ -18,32 +18,34 @@ from loewner.bodies.surface_trees import SurfaceTree, around_point, around_sums
 from loewner.ellipsoids.polytopes import Polytope, heights_about_mean
 from loewner.errors import GeometryError
 
-# Number of parts of a surface. If hulls of parts meet, a proof of a motion continues with their triangles.
+# Number of parts of a surface. If the hulls of two parts meet, a proof of a motion continues with the parts' triangles.
 PARTS = 6
 
-# Limits on the number of small parts of one surface, and of all surfaces of a problem together.
+# Limits on the number of small parts: of one surface, and of all surfaces of a problem together.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
-# Large parts keep only their farthest corners in these 74 directions, since more corners take longer to search. The
-# directions are short integer vectors, which are the same on all processors.
+# A large part keeps only its farthest corners in these 74 directions, since searches take longer with more corners. The
+# directions are short integer vectors, so that they are the same on all processors.
 _SHORT = np.indices((5, 5, 5)).reshape(3, -1).T - 2
 WAYS = _SHORT[np.isin((_SHORT**2).sum(axis=1), (1, 2, 3, 5, 6))].astype(float)
 
-# Step by which the vertices of a hull are moved outward, relative to its size; it exceeds their rounding.
+# The vertices of a hull are moved outward in steps of this size, relative to the hull's size. A step exceeds the
+# rounding.
 ROUNDED = 1e-12
 
 # Number of products computed at a time.
 AT_ONCE = 1_000_000
 
-# Parts of surfaces, keyed by tree and limit on the number of parts; None for a surface that cannot be cut.
+# Parts of surfaces, keyed by the surface's tree and by the limit on the number of parts; None for a surface that cannot
+# be cut.
 _known: WeakKeyDictionary[SurfaceTree, dict[int, Packed | None]] = WeakKeyDictionary()
 
 
 def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
-    """Cut the surfaces of bodies into parts, each a piece of its own; a body without surfaces is returned unchanged.
+    """Cut the surfaces of bodies into parts, which become pieces; a body without surfaces is returned unchanged.
 
-    The parts of a solid cover only its surface. Two bodies whose parts never meet stay apart if neither is inside the
-    other at the start.
+    The parts of a solid cover only its surface. If the parts of two bodies never meet during a motion, the bodies stay
+    apart, provided that neither body is inside the other at the start.
 
     Parameters
     ----------
@@ -56,10 +58,10 @@ def in_parts(packs: Sequence[Packed], most: int = PARTS) -> list[Packed]:
 
 
 def in_small_parts(packs: Sequence[Packed]) -> list[Packed]:
-    """Cut the surfaces of bodies into small parts, whose total number is limited."""
+    """Cut the surfaces of bodies into small parts; the total number of parts is limited."""
     surfaces, most = sum(len(pack.trees) for pack in packs), MOST_PARTS
-    # The limit is halved, not divided exactly, so that an added surface does not always require cutting all other
-    # surfaces again.
+    # The limit is only halved, so that it rarely changes when a surface is added: a new limit would require cutting all
+    # other surfaces again.
     while most * surfaces > ALL_PARTS:
         most //= 2
     return in_parts(packs, max(most, PARTS))
@@ -97,7 +99,7 @@ def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
 
 
 def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
-    """Return the parts of a surface, made once, as a body; None if it is a single part."""
+    """Return the parts of a surface as a body, which is made once; None if the surface cannot be cut."""
     parts_by_count = _known.setdefault(packed.trees[i], {})
     if most not in parts_by_count:
         parts_by_count[most] = _cut(packed, i, most)
@@ -140,13 +142,13 @@ def _cut(packed: Packed, i: int, most: int) -> Packed | None:
 
 
 def _hull_around(points: Floats, box: Floats) -> Floats:
-    """Make a few points whose hull certainly contains the given points.
+    """Make a few points whose hull is certain to contain the given points.
 
-    The new points are the vertices of a hull, moved away from their middle c by a relative amount. The hull is around
-    all points or, if there are many, around the farthest points in the directions `WAYS`. By the lemma of
-    docs/containment.md, a point p lies in the hull of the moved vertices v if, for each face with normal n, n·(p - c)
-    is at most the least n·(v - c) over the face's vertices. If many points lie in one plane, their hull has no faces,
-    and the corners of the box around them are used instead.
+    The new points are the vertices of a hull, scaled up about their middle c. The hull is around all points or, if
+    there are many, around the farthest points in the directions `WAYS`. By the lemma of docs/containment.md, a point p
+    lies in the hull of the scaled vertices v if, for each face with normal n, n·(p - c) is at most the least n·(v - c)
+    over the face's vertices. If there are many points in one plane, the corners of the box around the points are used
+    instead, because the points then have no hull with faces.
     """
     if len(points) <= len(box):
         return points

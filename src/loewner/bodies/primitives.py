@@ -1,4 +1,4 @@
-"""Make curved pieces in closed form: the image of a unit shape, its rounding radius, and both optimal ellipsoids."""
+"""Make curved pieces: the image of a unit shape, a rounding radius, and both optimal ellipsoids in closed form."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
 
 def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
-    """Make bodies of one curved piece each; `frame` has one row per body, the semi-axes of the unit shape's image."""
+    """Make bodies of one curved piece each; each row of `frame` has the semi-axes of the unit shape's image."""
     n = len(frame)
-    # The fits of an ellipsoid are exact. The closed forms of other kinds are rounded, and need a margin to the safe
-    # side.
+    # An ellipsoid or a ball equals its fits, without rounding. The closed forms for other kinds are rounded, so they
+    # need a margin on the safe side.
     slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
     (inner, outer), lifts = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
     inner_center, outer_center = (np.column_stack([np.zeros((n, 2)), lift]) for lift in lifts)
@@ -33,7 +33,7 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
 
 
 def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """Compute the semi-axes of the inner and outer ellipsoids of curved pieces in their frames, and the centers.
+    """Compute the inner and outer ellipsoids of curved pieces, in the frames of the pieces.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
     semi_axes : ndarray, shape (2, k, 3)
         The inner ellipsoids come first.
     lifts : ndarray, shape (2, k)
-        Positions of the centers along the third axis.
+        Positions of the ellipsoids' centers along the third axis.
     """
     semi_axes, lifts = np.empty((2, len(kinds), 3)), np.empty((2, len(kinds)))
     for kind, curved in CURVED.items():

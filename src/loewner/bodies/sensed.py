@@ -16,7 +16,7 @@ from loewner.errors import GeometryError, InputError
 # Approximate memory of a piece, and of a box, in all arrays [bytes].
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
-# Number of bits for a cell's index along each axis, so that three indices fit into one 64-bit integer.
+# Number of bits of a cell's index along each axis; three such indices fit into one 64-bit integer.
 CELL_BITS = 21
 MOST_CELLS = 2 ** (CELL_BITS - 1)
 
@@ -38,10 +38,10 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
 
 
 def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
-    """Make one body of axis-aligned boxes, each a polytope between two unrounded corners.
+    """Make one body of axis-aligned boxes, each a polytope between its lower and its upper corner.
 
-    Centers and half edges are rounded. The outer ellipsoids grow and the inner ones shrink by this rounding relative to
-    the shortest edge.
+    The corners are exact, but centers and half edges are rounded. The outer ellipsoids therefore grow, and the inner
+    ellipsoids shrink, by this rounding relative to the shortest edge.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     Raises
     ------
     GeometryError
-        If a box is so thin and so far from the origin that its thickness is lost in rounding.
+        If a box is so thin, and so far from the origin, that its thickness is lost in rounding.
     """
     n = len(lower)
     _memory.expect_left(n * BOX_BYTES, f"{n} boxes")
@@ -65,8 +65,8 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
             f"boxes: expected edges that are more than rounding, found box {i} with an edge of {2 * thinnest[i]:g} m "
             f"{farthest[i]:g} m from the origin"
         )
-    # Filling one column at a time takes a third of the time of a broadcast selection. A face lies exactly at its
-    # corners, since its normal is an axis.
+    # Filling one column at a time takes a third of the time of a selection by broadcasting. A face's plane goes exactly
+    # through the face's corners, since its normal is an axis.
     corners, planes = np.empty((n, 8, 3)), np.empty((n, 6, 4))
     for (vertex, axis), sign in np.ndenumerate(unit.vertices):
         corners[:, vertex, axis] = upper[:, axis] if sign > 0 else lower[:, axis]
@@ -91,7 +91,7 @@ def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
 
 
 def cells_of(points: Floats, edge: float) -> Ints:
-    """List the occupied cells of a grid aligned with the origin, each once and in order, shape (k, 3)."""
+    """List the occupied cells of a grid with a corner at the origin, shape (k, 3), each cell once, in order."""
     cells = points / edge
     np.floor(cells, out=cells)
     farthest = float(np.abs(cells).max())
@@ -100,7 +100,7 @@ def cells_of(points: Floats, edge: float) -> Ints:
             f"voxel: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.3g}"
         )
     numbers = _numbered(cells.astype(np.int64), (0, 1, 2))
-    # Neighbours in an image are often in one cell; dropping repeats first leaves fewer numbers to sort.
+    # Neighbours in an image are often in the same cell. Dropping repeats first leaves fewer numbers to sort.
     return _cells(_without_repeats(np.sort(_without_repeats(numbers))), (0, 1, 2))
 
 
@@ -110,7 +110,7 @@ def _without_repeats(numbers: Ints) -> Ints:
 
 
 def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
-    """Make one body from cells of a grid aligned with the origin, with each unbroken row of cells as one box.
+    """Make one body from cells of a grid with a corner at the origin; each row of cells without gaps becomes one box.
 
     Parameters
     ----------
@@ -125,23 +125,23 @@ def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
 
 
 def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
-    """Find the first and last cells of rows without gaps along an axis."""
+    """Find the first and last cells of the rows without gaps along an axis."""
     order = (*(k for k in range(3) if k != axis), axis)
     numbers = np.sort(_numbered(cells, order))
-    # The last axis has no cell with number 0, so that cells with consecutive numbers are neighbours in the grid.
+    # No index along the last axis is 0, so cells with consecutive numbers are neighbours in the grid.
     ends = np.flatnonzero(np.diff(numbers) != 1)
     first, last = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(numbers) - 1]])
     return _cells(numbers[first], order), _cells(numbers[last], order)
 
 
 def _numbered(cells: Ints, order: tuple[int, ...]) -> Ints:
-    """Combine the three numbers of each cell into one integer, with the first axis in `order` most significant."""
+    """Combine the three indices of each cell into one integer; the first axis in `order` is the most significant."""
     x, y, z = (cells[:, axis] + MOST_CELLS for axis in order)
     return np.asarray((((x << CELL_BITS) | y) << CELL_BITS) | z)
 
 
 def _cells(numbers: Ints, order: tuple[int, ...]) -> Ints:
-    """Recover cells from the numbers that `_numbered` computed."""
+    """Recover cells from the integers that `_numbered` computed."""
     cells = np.empty((len(numbers), 3), dtype=np.int64)
     rest = numbers
     for axis in reversed(order):
@@ -151,7 +151,7 @@ def _cells(numbers: Ints, order: tuple[int, ...]) -> Ints:
 
 
 def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
-    """Make one body of boxes, the union of the occupied cells, with each unbroken row of cells as one box.
+    """Make one body of boxes, the union of the occupied cells; each row of cells without gaps becomes one box.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
     GeometryError
         If no cell is occupied.
     """
-    # Two arrays of flags determine peak memory: the first cells along an axis, and the cells that follow an empty cell.
+    # Two arrays of flags determine peak memory: one for cells that begin a row, and one for empty cells.
     _memory.expect_left(2 * occupied.size, f"grid: {' x '.join(map(str, occupied.shape))} cells")
     count, axis = min((int(np.count_nonzero(_begins(np.moveaxis(occupied, axis, 2)))), axis) for axis in range(3))
     if count == 0:
@@ -187,7 +187,7 @@ def _begins(occupied: Bools) -> Bools:
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
-    """Make a body of one solid piece: the space between a flat base and triangles through heights on a grid.
+    """Make a body of one solid piece: the space between a flat base and a triangulated surface of heights.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     number = np.arange(p * q).reshape(p, q)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     surface = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    # The rim, counter-clockwise as seen from above; the base is a fan of triangles around its center.
+    # The rim runs counter-clockwise as seen from above. The base is a fan of triangles around its center.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     low, middle = p * q + np.arange(len(rim)), p * q + len(rim)
     ahead, low_ahead = np.roll(rim, -1), np.roll(low, -1)

@@ -14,13 +14,13 @@ from loewner._kernels import records
 from loewner._native import entries
 from loewner.meshes.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
-# Number of ellipsoids kept inside a solid; more ellipsoids would take longer to find and prove little more.
+# Largest number of ellipsoids inside a solid. More ellipsoids would take longer to find, and prove little more.
 MOST_INSIDE = 8
 
-# Bound on the error of a shape matrix's root in single precision, in units of roundoff.
+# Bound on the error of a shape matrix's root in single precision, in units of its roundoff.
 SINGLE_ROUNDINGS = 8.0
 
-# Bound on the rounding errors of an ellipsoid inside or around a sum, relative to its size.
+# Bound on the rounding errors of an ellipsoid around the sum of an ellipsoid and a ball, relative to its size.
 SUM_ROUNDING = 2.0**-44
 
 
@@ -33,11 +33,11 @@ class SurfaceTree:
     boxes : ndarray of float32
     children : ndarray of int64
     blocks : ndarray
-        Described in `loewner._kernels.trees.triangle_tree`.
+        Inputs of kernels; `loewner._kernels.trees.triangle_tree` describes them.
     parts : ndarray, shape (3 parts,)
         One vertex of each connected part.
     diagonals, ellipsoids : ndarray of float32
-        Also described in `loewner._kernels.trees.triangle_tree`.
+        Further arrays that `loewner._kernels.trees.triangle_tree` describes.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
         Ellipsoids inside a solid, largest first; empty for other surfaces.
     table : ndarray of int64
@@ -56,7 +56,7 @@ class SurfaceTree:
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
-        """Build the tree over one or more triangles; connected triangles share vertices."""
+        """Build the tree over at least one triangle; connected triangles must share vertices."""
         boxes, children, blocks, diagonals, ellipsoids, _ = entries.triangle_tree(vertices, triangles)
         parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
         tree = cls._at(boxes, children, blocks, parts, diagonals, ellipsoids, np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -85,9 +85,9 @@ class SurfaceTree:
         return sum(int(a.nbytes) for a in (*self._arrays, self.table))
 
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
-        """Compute the centers and factors of ellipsoids around the parts below the root, thickened by a radius.
+        """Compute centers and factors of ellipsoids around the parts below the root, after thickening by a radius.
 
-        The ellipsoids are stored in single precision; the radius grows by the errors of this rounding.
+        The ellipsoids of the tree are in single precision. The radius is increased by the errors of this rounding.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9
@@ -95,24 +95,24 @@ class SurfaceTree:
         rows = self.ellipsoids.reshape(9, wide)[:, filled].T.astype(float)
         root = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
-        least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # least size, for parts that are a point
+        least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # least size, for a part that is a point
         reach = np.maximum(radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes, least)
         return rows[:, :3], around_sums(product(root, root), reach)
 
 
 def around_point(radius: float) -> Floats:
-    """Compute the inner ellipsoid's factor for an open surface: a ball about one of its points, or just the point."""
+    """Compute the inner ellipsoid's factor for an open surface: a ball about one of its points, or only the point."""
     return np.eye(3) * radius * (1 - SUM_ROUNDING)
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:
-    """Compute factors of ellipsoids around sums of a ball and an ellipsoid, which is given by its shape matrix.
+    """Compute factors of ellipsoids around sums of balls and ellipsoids, which are given by shape matrices.
 
-    For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r² 1 contains the sum. The p chosen here
-    minimises the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control,
-    section 2.2.
+    Let Q be a shape matrix and r a radius. For all p > 0, the ellipsoid with the shape matrix (1 + 1/p) Q + (1 + p) r²
+    1 contains the sum. The p used here minimises the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal
+    Calculus for Estimation and Control, section 2.2.
     """
-    # The size is p times the radius, and not too small relative to the radius; every p > 0 is valid.
+    # The size is p times the radius. It is bounded from below, which is allowed because every p > 0 is valid.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return cholesky(joint) * (1 + SUM_ROUNDING)

@@ -1,4 +1,4 @@
-"""Make pieces of surfaces: their triangles, their ellipsoids, and whether they enclose a solid."""
+"""Make pieces from surfaces: their triangles, their ellipsoids, and whether they enclose a solid."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from loewner.bodies.surface_trees import around_point, around_sums
 from loewner.ellipsoids.polytopes import FLATNESS
 from loewner.errors import GeometryError
 
-# Limits on the sizes of surfaces, because lengths are squared in single precision for boxes.
+# Limits on the sizes of surfaces [m]; for boxes around triangles, lengths are squared in single precision.
 SMALLEST, LARGEST = 1e-12, 1e12
 
-# A mesh is nearly closed if its share of open edges and its share of area that does not cancel are below these limits.
+# A mesh is nearly closed if its share of open edges is at most FEW_OPEN, and the share of its area that does not cancel
+# is at most NEARLY_CANCELLED.
 FEW_OPEN, NEARLY_CANCELLED = 0.25, 0.2
 
 # Approximate bytes of a triangle in all arrays and the tree.
 TRIANGLE_BYTES = 350
 
-# Relative thickness of a flat surface's outer ellipsoid, above rounding errors but too small to matter.
+# Relative thickness of a flat surface's outer ellipsoid: above rounding errors, but too small to matter.
 THICKNESS = 1e-6
 
 
 def surface_pieces(
     name: str, vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float
 ) -> PieceArrays:
-    """Make a body of one piece: all triangles of a mesh, with a radius around them.
+    """Make a body of one piece: all triangles of a mesh, thickened by a radius.
 
     Parameters
     ----------
@@ -42,14 +43,15 @@ def surface_pieces(
     radius : float
         Radius in metres, >= 0.
     solid : bool or None
-        Whether the piece includes the space around which the mesh winds; if None, only if the mesh is closed.
+        Whether the piece includes the space around which the mesh winds. If None, the piece includes this space if the
+        mesh is closed.
     tol : float
         Upper limit on the certified log-volume gap of the outer ellipsoid.
 
     Raises
     ------
     GeometryError
-        If the mesh is too small or too large, the radius is too large, or a mesh that is to be solid is open.
+        If the mesh is too small or too large, if the radius is too large, or if `solid` is true and the mesh is open.
     """
     _memory.expect_left(len(triangles) * TRIANGLE_BYTES, f"{name}: {len(triangles)} triangles or balls")
     vertices, triangles = _merged(vertices, triangles)
@@ -79,7 +81,7 @@ def surface_pieces(
 
 
 def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Keep the vertices that triangles use, each point once, so that triangles still share them after a motion."""
+    """Drop unused vertices and merge equal ones, so that triangles still share their vertices after a motion."""
     used, numbers = np.unique(triangles, return_inverse=True)
     vertices = vertices[used] + 0.0  # without negative zeros
     count, number = entries.equal_vertices(vertices)
@@ -128,8 +130,8 @@ def _told(vertices: Floats, edges: Ints) -> str:
 def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
     """Return whether a mesh with open edges was probably meant to be closed.
 
-    The conditions are that few of the mesh's edges are open, and that the area vectors of its triangles nearly cancel,
-    as they would in a closed mesh.
+    If so, few of its edges are open, and the area vectors of its triangles nearly cancel. In a closed mesh, these
+    vectors cancel exactly.
     """
     areas = normals_of(vertices[triangles])
     total = float(np.linalg.norm(areas, axis=1).sum())
@@ -140,8 +142,8 @@ def nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
 def _open_edges(count: int, triangles: Ints) -> Ints:
     """Find the edges, as rows of two vertices, that triangles traverse more often in one direction than in the other.
 
-    If a mesh has no open edges, its winding number is an integer at every point off the surface. Adjacent triangles
-    must share vertices.
+    Adjacent triangles must share vertices. If a mesh has no open edges, its winding number is an integer at every point
+    that is not on the surface.
     """
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -156,7 +158,7 @@ def _open_edges(count: int, triangles: Ints) -> Ints:
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
-    """Fit the smallest ellipsoid around points, or nearly the smallest if the points are flat."""
+    """Fit the smallest ellipsoid around points; if the points are flat, the ellipsoid is only nearly the smallest."""
     center, factor = np.empty(3), np.empty((3, 3))
     points = vertices
     for _ in range(2):
@@ -169,7 +171,7 @@ def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
 
 
 def _thickened(vertices: Floats) -> Floats:
-    """Return points on both sides of the center of a flat set, along the directions in which it is flat."""
+    """Return two points for each direction in which a set is flat, on both sides of the set's center."""
     middle = vertices.mean(axis=0)
     spread, axes = np.linalg.eigh(np.cov((vertices - middle).T, bias=True))
     lengths = np.sqrt(np.maximum(spread, 0.0))
@@ -179,7 +181,7 @@ def _thickened(vertices: Floats) -> Floats:
 
 
 def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
-    """Compute an ellipsoid around the sum of an ellipsoid and a ball, and a bound on its excess over the smallest."""
+    """Compute an ellipsoid around the sum of an ellipsoid and a ball, and a bound on its log-volume gap."""
     grown = around_sums((product(factor, factor.T))[None], np.array([radius]))[0]
     volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
     return center, grown, gap + float(volumes)

@@ -12,7 +12,7 @@ from loewner._kernels import columns
 from loewner.bodies.kinds import CURVED, Mesh, ball
 from loewner.bodies.pack import Packed
 
-# Bodies with more pieces than this have coarser ellipsoids: 320 instead of 1280 triangles each.
+# For a body with more pieces than this, ellipsoids have 320 triangles instead of 1280.
 MANY_PIECES = 16
 
 
@@ -29,7 +29,7 @@ def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
-    """Triangulate all inner, or all outer, ellipsoids, keyed by piece index; an inner ellipsoid may be a point."""
+    """Triangulate all inner, or all outer, ellipsoids except points; the keys are the indices of the pieces."""
     centers, factors = ellipsoids_of(packed, which)
     unit, triangles = ball(3 if len(centers) <= MANY_PIECES else 2)
     return {k: (unit @ F.T + c, triangles) for k, (c, F) in enumerate(zip(centers, factors, strict=True)) if F.any()}
@@ -55,7 +55,7 @@ def for_pictures(packed: Packed, coarse: bool = False) -> Shape:
 
 
 def of_piece(packed: Packed, number: int, coarse: bool = False) -> Mesh:
-    """Triangulate the surface of one piece; `coarse` balls have 80 triangles."""
+    """Triangulate the surface of one piece; with `coarse`, a ball has 80 triangles."""
     row, frame = packed.layout[number], packed.frames[number]
     if row[columns.KIND] <= columns.POLYTOPE:
         return packed.points_of(number), packed.triangles_of(number)

@@ -1,9 +1,9 @@
-"""The threads' functions as PTX, which NVIDIA's drivers compile for the GPU at hand.
+"""Compile the threads' functions to PTX, which NVIDIA's driver compiles further for its GPU.
 
 llvmlite's wheels include LLVM's back end for PTX. The back end takes the intermediate code that Numba makes from the
-library's own formulas, so the formulas need no second source, and users need not install anything else. PTX that was
-built with the native library is used as it is. If no such PTX exists, it is made when it is first requested, and kept
-in the store of compiled kernels.
+library's own formulas. The formulas therefore exist in one source only, and no further compiler is needed. If PTX was
+built with the native library, this PTX is used. Otherwise, PTX is made when it is first requested, and is kept in the
+store of compiled kernels.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from loewner._kernels._sources import source_hash
 from loewner._native import library
 from loewner._native.entries import expect_numba
 
-NAME = "threads.ptx.z"  # zlib compresses it to a sixth
+NAME = "threads.ptx.z"  # zlib reduces the size to a sixth
 
-# The oldest supported GPUs (Turing, 2018), and a version of PTX that drivers from 2020 and later support.
+# OLDEST is the architecture of the oldest supported GPUs (Turing, 2018). All drivers since 2020 support VERSION of PTX.
 OLDEST, VERSION = "sm_75", "ptx70"
 TRIPLE = "nvptx64-nvidia-cuda"
 
@@ -40,12 +40,12 @@ KERNELS = {
 
 @cache
 def text() -> bytes:
-    """Return the PTX of all threads' functions: from the build, from the cache, or compiled now.
+    """Return the PTX of all threads' functions: from the build, from the store, or newly compiled.
 
     Raises
     ------
     MissingExtraError
-        If the PTX must be made and Numba is not installed.
+        If the PTX has to be compiled, and Numba is not installed.
     """
     shipped = library.shipped(NAME)
     if shipped is not None:
@@ -54,7 +54,7 @@ def text() -> bytes:
     from loewner._kernels import _jit, _store
 
     key = ""
-    with suppress(OSError):  # if sources cannot be read, the PTX is not kept, since its origin would be unknown
+    with suppress(OSError):  # PTX from sources that cannot be read is not kept, since its origin is unknown
         if _store.is_usable():
             made_of = Path(__file__).read_bytes(), _jit.MADE_WITH, source_hash()
             key = _store.key_of("threads.ptx", made_of, frozenset())
@@ -94,7 +94,7 @@ def _target(module: Any, machine: Any) -> None:
 
 
 def _kernel(function: Any, machine: Any) -> Any:
-    """Make a kernel's module: Numba's intermediate code of a function, and a caller that passes the thread number."""
+    """Make a kernel's module: Numba's intermediate code of a function, and a caller that passes the thread's number."""
     import llvmlite.binding as llvm
     from numba import types
 
@@ -109,7 +109,7 @@ def _kernel(function: Any, machine: Any) -> Any:
     module = _parts.linked([overload.library])
     _target(module, machine)
     module.link_in(llvm.parse_assembly(_caller(function.py_func.__name__, inner, count, machine)))
-    # Functions made by several processes may share a name, so only the kernel is visible from outside.
+    # Only the kernel is visible outside the module, because the names of other functions may occur in several modules.
     for symbol in (*module.functions, *module.global_variables):
         if not symbol.is_declaration and symbol.name != function.py_func.__name__:
             symbol.linkage = llvm.Linkage.internal
@@ -117,14 +117,14 @@ def _kernel(function: Any, machine: Any) -> Any:
 
 
 def _caller(name: str, inner: str, count: int, machine: Any) -> str:
-    """Write the intermediate code of the kernel itself: ``name(total, arguments)``, for threads 0 .. total."""
+    """Write the intermediate code of the kernel itself, ``name(total, arguments)``; threads below `total` work."""
     from llvmlite import ir
 
     word, half = ir.IntType(64), ir.IntType(32)
     pointer = ir.IntType(8).as_pointer()
     module = ir.Module(name)
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
-    # Numba's calling convention has pointers to a result and to an exception, which these functions do not have.
+    # Numba's calling convention has pointers to a result and to an exception. These functions have neither.
     body = ir.Function(module, ir.FunctionType(half, [pointer, pointer] + [word] * count), inner)
     kernel = ir.Function(module, ir.FunctionType(ir.VoidType(), [word] * count), name)
     kernel.calling_convention = "ptx_kernel"

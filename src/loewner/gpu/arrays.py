@@ -1,7 +1,7 @@
-"""Read other libraries' arrays on a GPU by address, and return results in the same way.
+"""Exchange arrays on a GPU with other libraries, by address.
 
-CuPy, PyTorch, JAX and Numba share arrays through ``__cuda_array_interface__`` (versions 2 and 3) and DLPack. An array
-is any object that supports one of the two protocols; nothing is imported, and nothing is copied.
+CuPy, PyTorch, JAX and Numba share arrays through ``__cuda_array_interface__`` (versions 2 and 3) and DLPack. Any object
+that supports one of the two protocols is accepted as an array. No library is imported, and no array is copied.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from loewner._base import _validate
 from loewner.errors import InputError
 from loewner.gpu.driver import Device, Memory
 
-# Kinds of devices in DLPack whose memory the GPU can access: its own, and memory shared with the CPU.
+# Kinds of devices in DLPack whose memory a GPU can access: the GPU itself, and memory that it shares with the CPU.
 CUDA, CUDA_MANAGED = 2, 13
 
 # Kinds of numbers in DLPack.
 KINDS = {0: "i", 1: "u", 2: "f", 6: "b"}
 
-ALIGNED = 16  # bytes that the kernels read at a time
+ALIGNED = 16  # number of bytes that kernels read at a time
 
 
 class View(NamedTuple):
@@ -53,9 +53,9 @@ def is_on_gpu(x: Any) -> bool:
 
 
 def taken(x: Any, name: str, device: Device) -> View:
-    """Take a float32 array on the GPU by its address.
+    """Return the address of a float32 array on the GPU, after checks.
 
-    All later work on the device's stream waits for the pending work of the array's own stream.
+    All later work on the device's stream waits for pending work on the array's own stream.
 
     Raises
     ------
@@ -139,14 +139,14 @@ _api.PyCapsule_SetName.argtypes, _api.PyCapsule_SetName.restype = (ctypes.py_obj
 _api.PyCapsule_New.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p
 _api.PyCapsule_New.restype = ctypes.py_object
 
-# Calls for a capsule that is being destroyed take its address, since the capsule must not be referenced any more.
+# While a capsule is being destroyed, it must not be referenced. These functions therefore take its address.
 _DESTRUCTOR = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 _is_valid = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_IsValid", _api))
 _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(("PyCapsule_GetPointer", _api))
 
 
 class _Borrowed:
-    """A DLPack tensor, which is given back when it is no longer referenced."""
+    """A DLPack tensor, which is released when this object is destroyed."""
 
     def __init__(self, managed: Any) -> None:
         self.managed = managed
@@ -177,10 +177,10 @@ def _by_dlpack(x: Any, name: str, device: Device) -> tuple[int, tuple[int, ...],
 
 
 class DeviceArray:
-    """An array of results on the GPU that other libraries can use.
+    """An array of results on the GPU, for use by other libraries.
 
     ``cupy.asarray``, ``torch.as_tensor(..., device="cuda")``, ``torch.from_dlpack`` and ``jax.dlpack.from_dlpack`` wrap
-    it in arrays of their own without copying; ``numpy.asarray`` copies it to the CPU.
+    it in arrays of their own without copying; ``numpy.asarray`` copies the array to the CPU.
 
     Attributes
     ----------
@@ -228,11 +228,11 @@ class DeviceArray:
     def __dlpack__(
         self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None, copy: Any = None
     ) -> Any:
-        self._memory.device.wait()  # so that every stream may read it
+        self._memory.device.wait()  # so that every stream can read the array
         return _capsule_of(self)
 
 
-# Arrays of this library that other libraries hold and have not yet given back, keyed by the addresses of their tensors.
+# Arrays of this library that other libraries have not yet released, keyed by the addresses of their tensors.
 _lent: dict[int, tuple[Any, ...]] = {}
 
 
@@ -251,7 +251,6 @@ def _unclaimed(capsule: Any) -> None:
 
 def _capsule_of(array: DeviceArray) -> Any:
     """Make a DLPack capsule."""
-    # Booleans are passed as bytes, because older versions of DLPack have no kind for booleans.
     code = {kind: code for code, kind in KINDS.items()}[array.dtype.kind]
     shape = (ctypes.c_int64 * len(array.shape))(*array.shape)
     where, of_type = _DLDevice(CUDA, array._memory.device.number), _DLType(code, 8 * array.dtype.itemsize, 1)

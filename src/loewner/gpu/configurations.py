@@ -33,8 +33,8 @@ from loewner.robots.proofs.proofs import ProofOptions, prove_by_rules
 
 KINDS = columns.FIXED, columns.REVOLUTE, columns.PRISMATIC
 
-# `Ask` queries a GPU about rows at addresses, and returns verdicts and the indices of the rows that are left to the
-# CPU. `Settle` returns the CPU's answers for these rows.
+# An `Ask` function queries a GPU about rows at addresses; it returns the verdicts, and the indices of the rows that are
+# left to the CPU. A `Settle` function returns the CPU's answers for these rows.
 Ask = Callable[..., tuple[Memory, Ints]]
 Settle = Callable[..., NDArray[np.int8]]
 
@@ -42,16 +42,17 @@ Settle = Callable[..., NDArray[np.int8]]
 class Checker:
     """A collision checker on a GPU.
 
-    The GPU places the robot, compares bounds and ellipsoids, and searches exactly where bounds and ellipsoids do not
-    decide. The `CollisionChecker` decides the configurations and motions for which single precision proves nothing,
-    about one in a thousand. The answers are therefore equal to the answers of the `CollisionChecker`.
+    The GPU places the robot, and compares bounds and ellipsoids. Where these do not decide, the GPU runs exact
+    searches. For about one configuration or motion in a thousand, single precision proves nothing; the
+    `CollisionChecker` then decides on the CPU. The answers are therefore equal to the answers of the
+    `CollisionChecker`.
 
     Parameters
     ----------
     checker : CollisionChecker
-        The checker of the robot and its scene, which may change between calls.
+        The checker of the robot and its scene. The scene may change between calls.
     fallback : {"error", "cpu"}
-        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost. "error"
         raises an error; "cpu" warns once and uses the `CollisionChecker`.
     device : int
         Index of the GPU among those visible to the driver.
@@ -80,19 +81,19 @@ class Checker:
         self._checker = checker
         self._tables: dict[Device, Tables] = {}
         self._tiles: dict[Device, Tile] = {}
-        self._lock = threading.Lock()  # protects the tiles
+        self._lock = threading.Lock()  # protects tables and tiles
 
     def __repr__(self) -> str:
         return f"<loewner.gpu.Checker of {self._checker.robot.dof} joints on GPU {self._number}>"
 
     @guarded
     def collide(self, Q: Any) -> Any:
-        """Decide exactly which configurations are in collision, with the answers of `CollisionChecker.collide`.
+        """Decide exactly which configurations are in collision, with the same answers as `CollisionChecker.collide`.
 
         Parameters
         ----------
         Q : array_like or array on the GPU, shape (..., dof)
-            The configurations. An array on the GPU must be float32 in C order, and the answers refer to exactly these
+            The configurations. An array on the GPU must be float32 in C order; the answers then hold for exactly these
             float32 numbers.
 
         Returns
@@ -128,16 +129,16 @@ class Checker:
 
     @guarded
     def certify_edges(self, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
-        """Prove which straight motions are free; the verdicts are the same as from `CollisionChecker.certify_edges`.
+        """Prove which straight motions are free, with the same verdicts as `CollisionChecker.certify_edges`.
 
         Parameters
         ----------
         Q0, Q1 : array_like or array on the GPU, shape (..., dof)
-            Ends of the motions, broadcast together. If one array is on the GPU, both must be on the GPU, in float32, in
-            C order and of the same shape. The verdicts then refer to exactly these float32 numbers.
+            Ends of the motions, broadcast together. If one array is on the GPU, both must be there, in float32, in C
+            order and with the same shape. The verdicts then hold for exactly these float32 numbers.
         tolerance : float
-            Distance in metres for the motions that are left to the CPU: a motion that comes within this distance of
-            colliding may be AMBIGUOUS.
+            Distance in metres, used for the motions that are left to the CPU: a motion that comes within this distance
+            of a collision may be AMBIGUOUS.
 
         Returns
         -------
@@ -154,10 +155,10 @@ class Checker:
 
         Notes
         -----
-        A motion is cut into intervals. As on the CPU, a plane proves an interval free if it separates two bodies at
-        both ends and leaves room for the bend of the paths in between. All computations are in single precision, with
-        bounds on the errors (docs/certified.md). The CPU decides the remaining motions: about one in a thousand, which
-        come within a few hundredths of a millimetre of contact.
+        A motion is cut into intervals. As on the CPU, a plane proves two bodies free in an interval if the plane
+        separates the bodies at both ends of the interval, with room for the bend of the paths in between. All
+        computations are in single precision, with bounds on the errors (docs/certified.md). The CPU decides the
+        remaining motions, about one in a thousand; these come within a few hundredths of a millimetre of contact.
 
         Examples
         --------
@@ -199,7 +200,10 @@ class Checker:
     # -- inside -------------------------------------------------------------------------------
 
     def _ready(self) -> Problem:
-        """Prepare the pairs for the present scene; even without a GPU, refuse pieces that are too small or large."""
+        """Prepare the pairs for the scene's present state.
+
+        Pieces that are too small or too large are refused even if there is no GPU.
+        """
         ready = prepared_of(self._checker)
         if ready.given is not None:
             names = ", ".join(self._checker.scene.bounds)
@@ -224,7 +228,7 @@ class Checker:
     def _decided_there(
         self, gpu: Device, given: dict[str, Any], ask: Ask, settle: Settle
     ) -> tuple[Memory, tuple[int, ...]]:
-        """Decide about the rows of one or two arrays in GPU memory; return the verdicts on the GPU, and their shape."""
+        """Decide about the rows of one or two arrays in GPU memory; return verdicts on the GPU, and their shape."""
         robot, views = self._checker.robot, [self._taken(gpu, Q, name) for name, Q in given.items()]
         shapes = [view.shape for view in views]
         if shapes[0] != shapes[-1]:
@@ -236,7 +240,7 @@ class Checker:
         return verdicts, shapes[0][:-1]
 
     def _taken(self, gpu: Device, Q: Any, name: str) -> View:
-        """Take configurations in GPU memory."""
+        """Check configurations in GPU memory, and return their address."""
         view = taken(Q, name, gpu)
         expect_width(self._checker.robot, view.shape, name)
         return view
@@ -264,16 +268,16 @@ class Checker:
             return motions.certified(gpu, tables, tile, self._checker.robot.dof, ends, total)
 
     def _tile_of(self, gpu: Device, tables: Tables, count: int) -> Tile:
-        """Return memory for a tile of up to `count` configurations, from the last call if that is large enough."""
+        """Return a tile for up to `count` configurations: the last call's tile, if it is large enough."""
         most, shape, tile = most_of(tables, count), (tables.links, tables.moving), self._tiles.get(gpu)
         if tile is None or tile.shape != shape or tile.most < most:
             tile = None
-            self._tiles.pop(gpu, None)  # frees its memory before more is allocated
+            self._tiles.pop(gpu, None)  # frees the old memory before new memory is allocated
             tile = self._tiles[gpu] = tile_of(gpu, tables, most)
         return tile._replace(most=most)
 
     def _tables_of(self, gpu: Device, ready: Problem) -> Tables:
-        """Return the kernels' input, copied to the GPU again if the scene has changed."""
+        """Return the kernels' input, which is copied to the GPU again whenever the scene has changed."""
         tables = self._tables.get(gpu)
         if tables is None or tables.version != ready.version:
             tables = self._tables[gpu] = tables_of(gpu, ready)
@@ -281,14 +285,14 @@ class Checker:
 
 
 def _settled(ready: Problem, Q: Floats) -> NDArray[np.int8]:
-    """Let the CPU decide the given configurations, for the state of the scene that the GPU used."""
+    """Let the CPU decide configurations, for the state of the scene that the GPU used."""
     verdicts, _ = classified(ready, codes.EXACT, Q)
     expect_settled(ready, Q, verdicts)
     return verdicts
 
 
 def _proven(ready: Problem, tolerance: float, a: Floats, b: Floats) -> NDArray[np.int8]:
-    """Let the CPU prove the given motions, for the state of the scene that the GPU used."""
+    """Let the CPU prove motions, for the state of the scene that the GPU used."""
     answers = prove_by_rules(ready, a, b, ProofOptions(tolerance))
     answers.expect_short(a, b)
     return np.asarray(answers.verdicts, dtype=np.int8)

@@ -1,10 +1,11 @@
-"""Call NVIDIA's driver with ctypes: open a GPU, allocate its memory, run kernels, and name causes of errors.
+"""Call NVIDIA's driver by ctypes: open a GPU, allocate its memory, run kernels, and explain errors.
 
-The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is needed.
-The driver compiles the PTX of `loewner.gpu._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
+The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; the CUDA toolkit is
+not needed. When a `Device` is opened, the driver compiles the PTX of `loewner.gpu._ptx` for its GPU, and keeps the
+result on disk.
 
-All work goes to one stream, in order. The context is the GPU's primary context, which PyTorch, JAX and CuPy also use,
-so that their memory can be read here.
+All work goes to one stream, in order. The context is the GPU's primary context. PyTorch, JAX and CuPy also use this
+context, so their memory can be read here.
 """
 
 from __future__ import annotations
@@ -25,27 +26,28 @@ from loewner.gpu import _ptx
 
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
-# Number of threads of a block; every GPU since `_ptx.OLDEST` has registers for at least six blocks of this size.
+# Number of threads in a block. Every GPU since `_ptx.OLDEST` has registers for at least six blocks of this size at a
+# time.
 BLOCK = 128
 
-# Codes of errors for which this module has its own wording.
+# Codes of errors for which this module has its own messages.
 OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
 OLD_DRIVER = (34, 35, 36, 803)
 
-# After these errors, the context, which holds all of this process's work on the GPU, can no longer be used.
+# After these errors, the context can no longer be used; it holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Messages for the error codes that need no numbers.
+# Messages for error codes, where the message contains no numbers.
 CAUSES = {
     **dict.fromkeys(LOST, "the GPU's work was lost, and everything that this process keeps there; restart the process"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
     NO_DEVICE: "expected an NVIDIA GPU, found none",
 }
 
-# Attributes that give a GPU's compute capability, and the lowest capability that is accepted: sm_75.
+# Attributes that contain a GPU's compute capability, and the lowest accepted capability, which is sm_75.
 MAJOR, MINOR, LEAST_CAPABILITY = 75, 76, (7, 5)
 
-# Options of the driver's compiler: the buffer for its log, and the size of the buffer.
+# Options of the driver's compiler: the buffer for its log, and the buffer's size.
 ERROR_LOG, ERROR_LOG_SIZE, LOG_BYTES = 5, 6, 8192
 
 ORDINAL_OF_POINTER = 9
@@ -83,7 +85,7 @@ class Device:
     name : str
     capability : tuple of int
     driver : int
-        Version of CUDA that the driver supports: 1000 times the major version plus 10 times the minor version.
+        Version of CUDA that the driver supports: 1000 times the major version, plus 10 times the minor version.
 
     Raises
     ------
@@ -118,7 +120,7 @@ class Device:
 
     @property
     def stream(self) -> int:
-        """The number of the stream that receives all work."""
+        """The stream that receives all work, as a number."""
         return int(self._stream.value or 0)
 
     # -- memory -------------------------------------------------------------------------------
@@ -139,7 +141,7 @@ class Device:
         return to
 
     def download(self, address: int, array: NDArray[Any]) -> None:
-        """Fill an array from the GPU's memory, once all earlier work is done."""
+        """Fill an array from the GPU's memory after all earlier work."""
         there, here, size = _places(address, array)
         if array.nbytes:
             self._run("cuMemcpyDtoHAsync_v2", here, there, size, self._stream)
@@ -152,7 +154,7 @@ class Device:
     # -- work ---------------------------------------------------------------------------------
 
     def launch(self, kernel: str, threads: int, *arguments: int | Memory) -> None:
-        """Run a kernel in `threads` threads; the kernel receives the number of threads before the arguments."""
+        """Run a kernel in `threads` threads; its arguments are the number of threads, and then `arguments`."""
         if threads == 0:
             return
         numbers = [ctypes.c_int64(x.address if isinstance(x, Memory) else x) for x in (threads, *arguments)]
@@ -161,18 +163,18 @@ class Device:
         self._run("cuLaunchKernel", self._functions[kernel], *sizes, self._stream, packed, None)
 
     def wait(self) -> None:
-        """Return when all work is done."""
+        """Wait until all work is done."""
         self._run("cuStreamSynchronize", self._stream)
 
     def after(self, stream: int) -> None:
-        """Let all further work wait for the current work of another stream."""
+        """Let all later work wait for the present work of another stream."""
         if stream == self.stream:
             return
         event, other = ctypes.c_void_p(), ctypes.c_void_p(stream)
         self._run("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
         self._run("cuEventRecord", event, other)
         self._run("cuStreamWaitEvent", self._stream, event, 0)
-        self._run("cuEventDestroy_v2", event)  # the driver frees the event once it has been reached
+        self._run("cuEventDestroy_v2", event)  # the driver frees the event once the event has been reached
 
     def time(self) -> Any:
         """Record a point in time on the stream, for `seconds`."""
@@ -182,7 +184,7 @@ class Device:
         return event
 
     def seconds(self, start: Any, stop: Any) -> float:
-        """Wait until two recorded points in time are past; free them, and return the seconds between them."""
+        """Wait for two recorded points in time, free them, and return the seconds between them."""
         milliseconds = ctypes.c_float()
         self._run("cuEventSynchronize", stop)
         self._run("cuEventElapsedTime", ctypes.byref(milliseconds), start, stop)
@@ -229,7 +231,7 @@ class Device:
         return int(integer.value)
 
     def _run(self, function: str, *arguments: Any, size: int | None = None) -> None:
-        """Call a function of the driver in the context, as `_ask` does."""
+        """Make the context current, and call a function of the driver as `_ask` does."""
         with self._current():
             self._ask(function, *arguments, size=size)
 
@@ -240,7 +242,7 @@ class Device:
             raise self._error(function, code, size=size)
 
     def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
-        """Make the error for a code, with the driver's explanation and, if that is unclear, a clearer one."""
+        """Make the error for a code, with the driver's explanation and, for some codes, a clearer explanation."""
         self.lost = self.lost or code in LOST
         cause, text = CAUSES.get(code), f"{function}: {self._words(code)}"
         if code == OUT_OF_MEMORY and size is not None:
@@ -261,7 +263,7 @@ class Device:
         return f"{', '.join(words)} ({code})" if words else f"error {code}"
 
     def _free(self, address: int) -> None:
-        """Free memory; at the end of a process or of a context, it may already have been freed."""
+        """Free memory; at the end of a process or of a context, the memory may have been freed already."""
         with contextlib.suppress(Exception), self._current():
             self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
 

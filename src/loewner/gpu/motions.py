@@ -8,22 +8,22 @@ from loewner.gpu.tables import Tables
 from loewner.gpu.tiles import Tile, check, place, room_for
 from loewner.gpu.work import Left, length_of
 
-# MOTIONS limits the number of motions whose intervals are listed together, and BENDS the number of their bounds on
-# curvature. If there are many chains of joints, BENDS reduces the number of motions.
+# MOTIONS limits how many motions have their intervals in one list. BENDS limits the number of bounds on their
+# curvature; if there are many chains of joints, BENDS reduces the number of motions.
 MOTIONS, BENDS = 1 << 18, 1 << 26
 
-INTERVALS = 64  # entries of a list for each motion; its probes need at least two
+INTERVALS = 64  # entries of a list per motion; the probes of a motion need at least two
 
 
 def slots(count: int) -> int:
-    """Return how many configurations are placed together at first for `count` motions."""
+    """Return how many configurations of `count` motions are placed together at first."""
     return 4 * count
 
 
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts for motions whose ends are at two addresses, and the indices of motions left to the CPU."""
+    """Return the verdicts of motions between two addresses, and the indices of motions that are left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):
@@ -35,7 +35,10 @@ def certified(
 
 
 class _Run:
-    """Memory for the proofs of several motions; intervals without a proof are halved until none is left."""
+    """The proofs of several motions, with their memory on the GPU.
+
+    Intervals without a proof are halved until none is left.
+    """
 
     def __init__(self, gpu: Device, tables: Tables, dof: int, tile: Tile, most: int) -> None:
         self._gpu, self._tables, self._dof, self._tile, self.most = gpu, tables, dof, tile, most
@@ -46,7 +49,7 @@ class _Run:
         self._Q, self._spans = (gpu.memory(4 * dof * tile.most) for _ in range(2))
 
     def prove(self, Q0: int, Q1: int, count: int) -> None:
-        """Find the states of `count` motions."""
+        """Compute the states of `count` motions."""
         gpu, t, bends = self._gpu, self._tables, self._bends
         gpu.clear(self.state.address, 4 * count)
         gpu.launch("bound_motion", t.chains * self.most, self.most, count, self._dof, Q0, Q1, t.cell, bends)
@@ -62,7 +65,7 @@ class _Run:
             listed = min(length_of(gpu, self._items), self._room)
 
     def _probe(self, Q0: int, Q1: int, count: int) -> None:
-        """Check motions at four configurations, which reveal most collisions."""
+        """Check each motion at four configurations, which reveal most collisions."""
         gpu, tile = self._gpu, self._tile
         gpu.launch("list_probe", 2 * count, self._items.address + 4)
         for first in range(0, 2 * count, tile.most // 2):
@@ -77,7 +80,7 @@ class _Run:
         place(self._gpu, self._tables, self._tile, self._Q.address, self._spans.address, self._dof, 2 * count)
 
     def _halve(self, Q0: int, Q1: int, items: int, count: int) -> None:
-        """Prove the intervals of a tile, and list the halves of intervals without a proof."""
+        """Try to prove the intervals of a tile, and list the halves of intervals without a proof."""
         gpu, t, tile, state, flags = self._gpu, self._tables, self._tile, self.state, self._flags
         bends, survivors, searches = self._bends, tile.survivors, tile.searches
         S, log_S = room_for(2 * count)

@@ -22,7 +22,7 @@ from loewner.queries import pairs as queries
 from loewner.queries._settle import NO_ROWS, settle
 from loewner.queries.pairs import Plan, Verdict
 
-# The plan for settling one pair, which is listed by the row numbers of its bodies.
+# The plan for settling a single pair, which is listed by the row numbers of its bodies.
 _ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)
 
 
@@ -44,20 +44,20 @@ def classify(
     ----------
     a, b : Body or Bodies
         A `Bodies` of length n broadcasts with the last batch axis of the poses. The bodies' ellipsoids stay on the GPU
-        as long as the bodies live.
+        as long as the bodies exist.
     T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity. An array on the GPU must be float32 in C
-        order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack, and the
-        answers refer to exactly these float32 numbers. Any other array is copied to the GPU.
+        order, from CuPy, PyTorch, JAX or any other library that supports ``__cuda_array_interface__`` or DLPack; the
+        answers then hold for exactly these float32 numbers. Any other array is copied to the GPU.
     pairs : array_like of int, shape (..., 2), optional
-        Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. The rows must not be on the GPU.
+        Pairs of rows to compare, instead of broadcasting; see `loewner.classify`. This array must not be on the GPU.
     refine : bool
-        Whether the CPU settles the pairs that single precision leaves open, about half a percent of all pairs for round
-        pieces. If False, such pairs and pairs whose poses are not rigid motions are AMBIGUOUS, and a call with poses on
-        the GPU returns without waiting for the GPU.
+        Whether the CPU settles the pairs that single precision leaves open; for round pieces, these are about half a
+        percent of all pairs. If false, such pairs, and pairs whose poses are not rigid motions, are AMBIGUOUS; a call
+        with poses on the GPU then returns without waiting for the GPU.
     fallback : {"error", "cpu"}
-        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost: "error"
-        raises an error; "cpu" warns once and uses the CPU. Poses on a GPU always cause an error in these cases, since
+        What to do if there is no GPU, its driver is too old, its memory is too small, or its work was lost. "error"
+        raises an error; "cpu" warns once and uses the CPU. With poses on a GPU, "cpu" raises an error as well, since
         the CPU cannot read them.
     device : int
         Index of the GPU among those visible to the driver.
@@ -80,9 +80,9 @@ def classify(
 
     Notes
     -----
-    The formulas are the same as on the CPU, compiled for the GPU with only correctly rounded operations. FREE and
-    COLLIDING are therefore proven as in docs/certified.md. Transferring poses to the GPU for this call alone is not
-    worthwhile, since the poses take 128 bytes per pair.
+    The formulas are the same as on the CPU, and are compiled to use only correctly rounded operations. FREE and
+    COLLIDING are therefore proven as in docs/certified.md. It is not worthwhile to transfer poses to the GPU only for
+    this call, since the poses take 128 bytes per pair.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def classify(
     number = number_of(device)
     refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
     for bodies in (a, b):
-        single_rows(packed_of(bodies))  # even without a GPU, refuse pieces that are too small or large
+        single_rows(packed_of(bodies))  # refuses pieces that are too small or too large, even if there is no GPU
     poses = {"T_world_a": T_world_a, "T_world_b": T_world_b}
     there = [is_on_gpu(T) for T in poses.values()]
     here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
@@ -117,7 +117,7 @@ def classify(
         return _classified(gpu, plan, operands, refined, any(there))
 
     def on_cpu() -> Any:
-        ask: Any = queries.classify  # Any, because there is one signature per kind of operands
+        ask: Any = queries.classify  # Any, because there is one signature for each kind of operands
         return ask(a, here[0], b, here[1], pairs=pairs)
 
     return attempted(on_gpu, on_cpu if instead and not any(there) else None)
@@ -128,7 +128,7 @@ def _shape(poses: Floats | None) -> tuple[int, ...]:
 
 
 class _Operand(NamedTuple):
-    """Bodies and their poses; the poses are on the CPU or on the GPU."""
+    """Bodies and their poses, which are on the CPU (`here`) or on the GPU (`there`)."""
 
     bodies: Body | Bodies
     here: Floats | None
@@ -143,7 +143,7 @@ class _Operand(NamedTuple):
         return shape
 
     def poses_at(self, gpu: Device, rows: Ints) -> Floats:
-        """Return the poses of the given rows in double precision, in CPU memory."""
+        """Return the poses of some rows, in double precision and in CPU memory."""
         if self.there is not None:
             return gathered(gpu, self.there.address, 16, rows).reshape(-1, 4, 4)
         assert self.here is not None
@@ -151,7 +151,7 @@ class _Operand(NamedTuple):
 
 
 class _Tables(NamedTuple):
-    """Bodies on the GPU: the rows of their pieces, and the first piece of each body."""
+    """Bodies on the GPU: the table's rows of their pieces, and the first piece of each body."""
 
     rows: Memory
     start: Memory
@@ -161,7 +161,7 @@ _tables: weakref.WeakKeyDictionary[Packed, dict[Device, _Tables]] = weakref.Weak
 
 
 def _tables_of(gpu: Device, packed: Packed) -> _Tables:
-    """Return the tables of bodies, which are copied to the GPU when they are first needed."""
+    """Return the tables of bodies; the tables are copied to the GPU when they are first needed."""
     at = _tables.setdefault(packed, {})
     if gpu not in at:
         at[gpu] = _Tables(gpu.upload(single_rows(packed)), gpu.upload(packed.kernel.piece_start.astype(np.int32)))
@@ -169,12 +169,12 @@ def _tables_of(gpu: Device, packed: Packed) -> _Tables:
 
 
 def single_rows(packed: Packed) -> NDArray[np.float32]:
-    """Return the rows of pieces in single precision.
+    """Return the table's rows of pieces, in single precision.
 
     Raises
     ------
     InputError
-        If there are no such rows because a piece is too small or too large.
+        If a piece is too small or too large for single precision.
     """
     rows: NDArray[np.float32] = packed.kernel.single
     if len(rows) == 0 and len(packed.layout) > 0:
@@ -193,7 +193,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     steps = gpu.upload(plan.steps.astype(np.int32))
     rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
     verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
-    # For surfaces, the CPU compares more ellipsoids than the GPU, and may prove pairs that the GPU leaves open.
+    # For surfaces, the CPU compares more ellipsoids than the GPU, so it may settle pairs that the GPU leaves open.
     of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
     one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
     plan_arguments = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
@@ -208,7 +208,8 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
         if there:
             scattered(gpu, numbers, settled, verdicts)
     if there:
-        # The kernel's input lives until the kernel is done: memory is freed in the order of the stream's work.
+        # The kernel's input remains valid until the kernel is done, because memory is freed in the order of the
+        # stream's work.
         return DeviceArray(verdicts, plan.shape, np.int8)
     out = np.empty(plan.total, dtype=np.int8)
     gpu.download(verdicts.address, out)
@@ -218,7 +219,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
 
 
 def _poses_on(gpu: Device, operand: _Operand) -> View:
-    """Put poses on the GPU, in single precision."""
+    """Copy poses to the GPU in single precision, unless they are there."""
     if operand.there is not None:
         return operand.there
     assert operand.here is not None
@@ -228,7 +229,7 @@ def _poses_on(gpu: Device, operand: _Operand) -> View:
 
 
 def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
-    """Return the rows of a, Ta, b and Tb for the given pairs."""
+    """Return the rows of a, Ta, b and Tb for the pairs with these numbers."""
     if plan.rows.shape[1]:
         of_a, of_b = plan.rows[:, numbers]
         return [side * step for side, step in zip((of_a, of_a, of_b, of_b), plan.steps[1:, 0], strict=True)]
@@ -237,7 +238,7 @@ def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
 
 
 def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -> NDArray[np.int8]:
-    """Let the CPU decide the given pairs."""
+    """Let the CPU decide the pairs with these numbers."""
     out = np.empty(len(numbers), dtype=np.int8)
     if len(numbers) == 0:
         return out

@@ -13,14 +13,15 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
 from loewner.robots.checking.problem import Problem
 
-# Largest deviation of a pose from a rotation at which a ball that is added to a core still counts as a ball.
+# If a static pose deviates from a rotation by more than this, it would distort the balls that are added to cores. The
+# CPU then decides about such pieces.
 ROUND = 1e-9
 
 GROUP = 4  # vertices that a search reads at a time
 
 
 class Tables(NamedTuple):
-    """Kernel input for a robot and its scene; `loewner._kernels.threads.configurations` describes the fields."""
+    """The kernels' input for a robot and its scene; `loewner._kernels.threads.configurations` describes the fields."""
 
     version: int
     moving: int
@@ -41,7 +42,7 @@ class Tables(NamedTuple):
 
 
 def tables_of(gpu: Device, ready: Problem) -> Tables:
-    """Copy the kernels' input about a robot and its scene to the GPU."""
+    """Copy the kernels' input for a robot and its scene to the GPU."""
     tree, packed, moving = ready.robot.tree, ready.packed, len(ready.link)
     start = packed.piece_start
     rows = single_rows(packed).copy()
@@ -79,7 +80,7 @@ def tables_of(gpu: Device, ready: Problem) -> Tables:
 
 
 def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Describe the pieces for `threads.searches.core_at`, in the world if static, and otherwise in frames of links."""
+    """Describe the pieces for `threads.searches.core_at`: static pieces in the world, others in frames of links."""
     packed, moving = ready.packed, len(ready.link)
     table, first_static = packed.kernel.table, int(packed.piece_start[moving])
     integers = np.zeros((len(packed.layout), columns.CORE_INTEGERS), dtype=np.int32)
@@ -116,7 +117,7 @@ def _cores(ready: Problem) -> tuple[NDArray[np.int32], NDArray[np.float32], NDAr
 
 
 class _Chains:
-    """The joints between bodies: first between each moving body and the world, then between the bodies of each pair."""
+    """The chains of joints between each moving body and the world, and between the moving bodies of each pair."""
 
     def __init__(self, ready: Problem) -> None:
         self._ready, self.joints = ready, [_joints_between(ready, body, -1) for body in range(len(ready.link))]
@@ -139,7 +140,7 @@ class _Chains:
         return np.asarray(self._ready.tables.reach[body, joints])
 
     def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-        """Return roles, chain_start, joints and levers as in `threads.configurations.Cell`."""
+        """Return roles, chain_start, joints and levers, as defined in `threads.configurations.Cell`."""
         tree = self._ready.robot.tree
         start = np.cumsum([0, *map(len, self.joints)]).astype(np.int32)
         joints = np.concatenate([*self.joints, np.zeros(0, dtype=np.int64)]).astype(np.int64)
@@ -153,7 +154,7 @@ class _Chains:
 
 
 def _joints_between(ready: Problem, body: int, lower: int) -> Ints:
-    """List the joints from a moving body to a link, or to the world (-1), as the links that the joints move."""
+    """List the joints from a moving body to a link or to the world (-1); the number of a joint is its link's number."""
     paths = ready.tables
     up, down = (
         paths.path_link[slice(*paths.path_start[link : link + 2])] if link >= 0 else paths.path_link[:0]

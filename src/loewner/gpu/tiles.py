@@ -1,4 +1,4 @@
-"""GPU memory for a tile of configurations, and the placement of the robot at these configurations."""
+"""Allocate GPU memory for a tile of configurations, and place and check the robot at these configurations."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.tables import Tables
 from loewner.gpu.work import MOST, expect_few
 
-# Base-2 logarithms of the largest and smallest number of configurations in a tile. The largest is the number of threads
-# of a large GPU, since each launch waits for its slowest thread.
+# Base-2 logarithms of the largest and the smallest number of configurations in a tile. The largest number is the number
+# of threads of a large GPU; since each launch waits for its slowest thread, smaller tiles would waste time.
 LOG_TILE, LEAST = 18, 10
 
-BYTES = 1 << 30  # limit on a tile's memory; for robots with very many links, a tile has fewer configurations
+BYTES = 1 << 30  # limit on a tile's memory, which reduces the configurations in a tile for robots with very many links
 
-# Average room per configuration of a tile: for pairs of bodies that bounds leave open, and for pairs of pieces that
-# ellipsoids leave open. The CPU decides the configurations whose pairs find no room.
+# A tile has room for this many pairs per configuration, on average: pairs of bodies that bounds leave open, and also
+# pairs of pieces that ellipsoids leave open. If the pairs of a configuration find no room, the CPU decides the
+# configuration.
 SURVIVORS = 32
 
 
 class Tile(NamedTuple):
-    """Kernel output for one tile of up to `most` configurations, for the numbers of links and bodies in `shape`."""
+    """The kernels' output for up to `most` configurations; `shape` has the numbers of links and moving bodies."""
 
     most: int
     shape: tuple[int, int]
@@ -34,13 +35,13 @@ class Tile(NamedTuple):
 
 
 def room_for(count: int) -> tuple[int, int]:
-    """Return the number of places for `count` configurations, a power of two, and its logarithm."""
+    """Return a power of two that is at least `count`, and its logarithm."""
     log = max(LEAST, (count - 1).bit_length())
     return 1 << log, log
 
 
 def place(gpu: Device, tables: Tables, tile: Tile, Q: int, spans: int, dof: int, count: int) -> None:
-    """Place links and bodies for the configurations that are stored at an address."""
+    """Place links and bodies at the configurations that are stored at the address `Q`."""
     t, (S, log_S) = tables, room_for(count)
     gpu.launch("place_links", count, S, Q, spans, dof, t.links, t.joints, t.constants, tile.placed)
     gpu.launch("place_body", t.moving * S, S, log_S, tile.placed, t.bodies, t.balls, t.rows, tile.bounds)
@@ -57,7 +58,7 @@ def most_of(tables: Tables, count: int) -> int:
 
 
 def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
-    """Allocate the kernel output for a tile."""
+    """Allocate the memory of a tile."""
     capacity, placed, bounds = most * SURVIVORS, columns.LINK_NUMBERS * tables.links, columns.BOUNDS * tables.moving
     counts = placed * most, bounds * most, most, 1 + capacity, 1 + 3 * capacity
     at, boxes, state, survivors, searches = (gpu.memory(4 * count) for count in counts)
@@ -65,7 +66,7 @@ def tile_of(gpu: Device, tables: Tables, most: int) -> Tile:
 
 
 def check(gpu: Device, tables: Tables, tile: Tile, count: int) -> None:
-    """Find the states of the first `count` configurations of a tile, which have been placed."""
+    """Compute the states of the first `count` configurations of a tile, at which the robot has been placed."""
     t, (S, log_S) = tables, room_for(count)
     gpu.clear(tile.state.address, 4 * count)
     gpu.clear(tile.survivors.address, 4)

@@ -1,4 +1,4 @@
-"""Code shared by queries about pairs and configurations: missing GPUs, lists for the CPU, and rows of tables."""
+"""Code that queries about pairs and configurations share: fallbacks, lists of work for the CPU, and rows of tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from loewner.gpu.driver import Device, Memory
 
 FALLBACKS = ("error", "cpu")
 
-# Largest number of entries, because the number of a thread has 31 bits.
+# Largest number of entries; the number of a thread has 31 bits.
 MOST = 2**31 - 1
 
 Answer = TypeVar("Answer")
@@ -46,7 +46,7 @@ def why_not(device: int = 0) -> str:
     Examples
     --------
     >>> from loewner import gpu
-    >>> bool(gpu.why_not(1000))  # no machine has that many
+    >>> bool(gpu.why_not(1000))  # no machine has that many GPUs
     True
     """
     try:
@@ -62,7 +62,10 @@ def number_of(device: int) -> int:
 
 
 def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:
-    """Return the GPU's answer or, if the GPU fails, the CPU's answer; warn about this once per process."""
+    """Return the GPU's answer or, if the GPU fails, the CPU's answer.
+
+    A failure causes a warning, once per process.
+    """
     global _warned
     try:
         return on_gpu()
@@ -76,13 +79,15 @@ def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None)
 
 
 def expect_few(count: int, what: str) -> None:
-    """Refuse a list with more entries than an index can address."""
+    """Refuse more entries than an index can address."""
     if count > MOST:
         raise InputError(f"expected at most {MOST} {what} a call, found {count}; pass fewer at a time")
 
 
 class Left:
-    """The work that a kernel leaves to the CPU: a list on the GPU, headed by its length, to which threads append.
+    """The work that a kernel leaves to the CPU.
+
+    It is a list on the GPU, to which threads append; the first entry is the length.
 
     Parameters
     ----------
@@ -103,7 +108,7 @@ class Left:
 
 
 def length_of(device: Device, listed: Memory) -> int:
-    """Wait until all work is done, and read how many entries a list has, or would have if it had enough room."""
+    """Wait until all work is done, and read the length of a list, which may exceed the list's room."""
     count = np.empty(1, dtype=np.int32)
     device.download(listed.address, count)
     return int(count[0])
@@ -119,7 +124,7 @@ def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
 
 
 def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
-    """Write small values to single bytes on the GPU."""
+    """Write small values to single bytes of GPU memory at the given rows."""
     listed, device_values = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
     device.launch("scatter_bytes", len(rows), listed, device_values, target)
-    device.wait()  # the lists must live until the work is done
+    device.wait()  # the lists must exist until the work is done

@@ -1,8 +1,8 @@
-"""Settle, in exact integers, pairs of surfaces that rounding keeps the kernels from deciding.
+"""Settle, in exact integers, pairs of surfaces that the kernels cannot decide because of rounding.
 
-Poses and corners are floats, so the coordinates of all placed corners are integers in one small unit. Determinants of
-integers are exact, and their signs are therefore certain. A pair takes a millisecond with Python's integers and a
-microsecond in a kernel, but hardly any pair needs integers.
+Poses and corners are floats, so the coordinates of all placed corners are integer multiples of one small unit.
+Determinants of integers are exact, and their signs are therefore certain. Settling a pair with Python's integers takes
+a thousand times as long as in a kernel, about a millisecond, but hardly any pair requires this.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from loewner._base._validate import Floats, Ints
 from loewner._kernels import codes, columns
 from loewner._native import entries
 
-# Plan, rows, handle and poses of a, handle and poses of b, with arrays in C order: see `_kernels/pipeline/verdicts.py`.
+# The plan, the rows, the handle and poses of a, and the handle and poses of b; arrays are in C order. See
+# `_kernels/pipeline/verdicts.py`.
 Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 Vector: TypeAlias = tuple[int, int, int]
 
-# Largest number of open pairs of triangles that are examined. If there are more, the pair of surfaces stays AMBIGUOUS
+# At most this many undecided pairs of triangles are examined. If there are more, the pair of surfaces stays AMBIGUOUS
 # unless one of the examined pairs of triangles meets.
 ROOM = 20_000
 
-# Directions of rays, which are tried in turn, since a ray that meets an edge gives no answer.
+# Directions of rays. They are tried one after another, since a ray that meets an edge gives no answer.
 RAYS = (
     (1, 2, 3),
     (-3, 1, 2),
@@ -41,7 +42,7 @@ RAYS = (
     (3, -2, -11),
 )
 
-# Allowance for rounding, relative to all lengths, in the selection of triangles that a ray could meet.
+# Allowance for rounding when selecting the triangles that a ray could meet, relative to the lengths involved.
 _GENEROUS = 1e-9
 
 
@@ -80,7 +81,7 @@ class Part:
         return np.asarray(self.triangles[triangle].reshape(3, 3))
 
     def holds_part_of(self, other: Part, T: Floats, S: Floats) -> bool:
-        """Return whether the first vertex of a connected part of another piece is in this solid or on its surface."""
+        """Return whether this solid or its surface contains the first vertex of a connected part of another piece."""
         return self.kind == columns.SOLID and any(self._holds(point, T, S) for point in other.points)
 
     def _holds(self, point: Floats, T: Floats, S: Floats) -> bool:
@@ -102,7 +103,7 @@ class Part:
 
 
 def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]:
-    """Return points at poses as integer multiples of a unit, and the unit in metres."""
+    """Place points at poses; return their coordinates as integer multiples of a unit, and the unit in metres."""
     turn = _digits([T[:3, :3] for T, _ in points])
     place = _digits([p for _, p in points])
     all_digits = max(turn + place, _digits([T[:3, 3] for T, _ in points]))
@@ -146,8 +147,9 @@ def cross(a: Vector, b: Vector) -> Vector:
 def meet(a: list[Vector], b: list[Vector]) -> bool:
     """Return whether two triangles, segments or points have a point in common.
 
-    The two have no common point if and only if an axis separates them strictly. The axis is a face normal of the set of
-    their differences or, if this set is flat, a normal of the plane or line that contains the set.
+    Two such sets have no common point if and only if an axis separates them strictly. It suffices to try the face
+    normals of the set of all differences between their points or, if this set is flat, the normals of the plane or line
+    that contains the set.
     """
     return not any(
         max(dot(n, p) for p in a) < min(dot(n, p) for p in b) or max(dot(n, p) for p in b) < min(dot(n, p) for p in a)
@@ -204,7 +206,7 @@ def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
 
 
 def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
-    """Compute the squared distance from a point to a triangle's plane; None if its foot is outside the triangle."""
+    """Compute a point's squared distance from a triangle's plane; None if the foot point is outside the triangle."""
     n = cross(minus(t[1], t[0]), minus(t[2], t[0]))
     if not any(n) or any(dot(cross(minus(t[(k + 1) % 3], t[k]), minus(p, t[k])), n) < 0 for k in range(3)):
         return None
@@ -212,7 +214,7 @@ def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:
 
 
 def _between_lines(a: Vector, b: Vector, c: Vector, d: Vector) -> Fraction | None:
-    """Compute the squared distance between two lines; None if they are parallel, or a foot is outside the segments."""
+    """Compute the squared distance of two lines; None if they are parallel, or a foot point is outside its segment."""
     u, v, r = minus(b, a), minus(d, c), minus(c, a)
     n = cross(u, v)
     squared = dot(n, n)
@@ -235,7 +237,8 @@ def _windings(ray: Vector, surface: tuple[Floats, Floats], place: tuple[Floats, 
             continue
         volume = dot(a, cross(b, c))
         if 0 in signs:
-            # The ray's start may lie in the triangle, or the triangle may be edge-on, so that the ray may miss it.
+            # The start of the ray may lie in the triangle; or the triangle may be edge-on, and then the ray may miss
+            # it.
             if volume == 0 and meet([(0, 0, 0)] * 3, [a, b, c]):
                 return True
             if _may_cross(ray, a, b, c):

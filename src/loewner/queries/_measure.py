@@ -1,4 +1,4 @@
-"""Distances of pairs: a fast pass, then careful searches for the remaining pairs.
+"""Compute distances of pairs: first in a fast pass, and then by careful searches for the remaining pairs.
 
 Queries about pairs and about crowds use this module.
 """
@@ -18,7 +18,7 @@ from loewner.queries._settle import Operands
 # The smallest number of pairs that is worth a thread of its own.
 CHUNK = 4096
 
-# Bytes per pair: three numbers; for an exact distance, also a fourth number, three vectors, a status and a flag.
+# Bytes per pair. Bounds take three numbers. An exact distance takes four numbers, three vectors, a status and a flag.
 BOUND_BYTES, EXACT_BYTES = 24, 106
 
 
@@ -31,7 +31,7 @@ class Measures(NamedTuple):
     distance : ndarray, shape (n,), or (0,) if only bounds are requested
     witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3)
     unsettled : ndarray of bool, shape (n,), or (0,)
-        Marks pairs whose distance could not be computed: their distance, witnesses and normal are NaN.
+        Marks pairs whose distance could not be computed. For these pairs, distance, witnesses and normal are NaN.
     """
 
     lower: Floats
@@ -45,7 +45,7 @@ class Measures(NamedTuple):
 
 
 def measure(exact: bool, n: int, operands: Operands) -> Measures:
-    """Bound the distances of n pairs and, on request, compute the distances as well; poses must be rigid motions."""
+    """Bound the distances of n pairs; with `exact`, compute the distances as well. Poses must be rigid motions."""
     plan, rows, *bodies = operands
     m = n if exact else 0
     numbers, vectors, status = np.empty((3 + exact, n)), np.empty((3, m, 3)), np.zeros(m, dtype=np.int8)
@@ -62,7 +62,7 @@ def measure(exact: bool, n: int, operands: Operands) -> Measures:
     lower, upper, estimate = numbers[:3]
     value = numbers[3] if exact else np.empty(0)
     if exact:
-        # The bounds are proven, unlike the computed value, which is therefore clamped to the bounds.
+        # The bounds are proven, but the computed value is not. The value is therefore clamped to the bounds.
         np.maximum(lower, np.minimum(value, upper, out=value), out=value)
     unsettled = status != 0
     value[unsettled] = vectors[:, unsettled] = np.nan

@@ -1,7 +1,7 @@
-"""Verdicts for listed pairs: a fast pass, then a fallback for the remaining pairs, then exact integers.
+"""Compute verdicts for listed pairs: first in a fast pass, then by a fallback, and finally in exact integers.
 
-Queries about pairs and about crowds use this module. Robots also use it, for configurations that their own kernels
-(`_kernels/robots/configurations.py`) leave open.
+Queries about pairs and crowds use this module. Robots use it for configurations that the kernels for robots
+(`_kernels/robots/configurations.py`) leave undecided.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from loewner._native import entries
 from loewner.queries import _exact
 from loewner.queries._exact import Operands as Operands
 
-# The empty rows for pairs that are not listed by row numbers.
+# Empty rows, for pairs that are not listed by row numbers.
 NO_ROWS = np.empty((2, 0), dtype=np.int64)
 
 
@@ -31,14 +31,14 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         Distance to keep, in metres, >= 0.
     operands : Operands
     out : ndarray of int8
-        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair; the caller must treat the
-        pair as unsettled.
+        Receives the verdicts. In mode EXACT, AMBIGUOUS means that no search settled the pair; callers must not treat it
+        as free.
 
     Returns
     -------
     ndarray of int64, shape (TIERS,), or None
-        Number of piece pairs that each tier of the fast pass settled. None if a pose is not a rigid motion; in that
-        case no result is valid.
+        How many pairs of pieces each tier of the fast pass settled. None if a pose is not a rigid motion; `out` is then
+        invalid.
     """
     tally = np.zeros(codes.TIERS, dtype=np.int64)
     if not entries.settle_range(mode, margin, first, last, *operands, out, tally, workspace(entries.workspace_size())):

@@ -1,4 +1,4 @@
-"""Find which of many bodies meet, and how deeply: a broad phase over boxes, then a verdict for each pair."""
+"""Find the pairs that meet among many bodies, and their depths: first by boxes, and then by a verdict for each pair."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ from loewner.queries._settle import Operands, settle
 # The smallest number of bodies that is worth a thread of its own.
 CHUNK = 4096
 
-# Candidate pairs are settled once there are this many. The last group of boxes may add WIDE pairs for each body.
+# Candidate pairs are settled once there are at least this many. The last group of boxes may add up to WIDE pairs per
+# body.
 CANDIDATES = 65536
 
-# Bytes for a body: two corners of its box, its sorted keys, its place in the order, and its share of the groups' boxes.
+# Bytes per body: two corners of its box, its keys and sorted keys, its place in the order, and its share of the groups'
+# boxes.
 BODY_BYTES = 128
 
-# Bytes for a pair that is found: its key, copies of the key when all keys are concatenated, and two returned numbers.
+# Bytes per returned pair: its key, copies of the key when all keys are concatenated, and two returned numbers.
 PAIR_BYTES = 40
 
-# Additional bytes for a measured pair: a copy of its rows, and its distance.
+# Additional bytes per measured pair: a copy of its row numbers, and its distance.
 DEPTH_BYTES = 16 + EXACT_BYTES
 
-# A tree: its groups of boxes, the start of each level, and the order of the bodies in the lowest level.
+# A tree: its groups of boxes, the start of each level, and the order of the bodies on the lowest level.
 Tree: TypeAlias = tuple[Floats, Ints, Ints]
 
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
@@ -42,22 +44,22 @@ MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Overlaps(_validate.Brief):
-    """The pairs of bodies that meet, and their depths, one entry per pair.
+    """The pairs of bodies that meet, and their distances or depths, with one entry per pair.
 
-    Distances, witnesses and normals are as computed by `distance` with ``exact=True``.
+    Distances, witnesses and normals are the same as from `distance` with ``exact=True``.
 
     Attributes
     ----------
     pairs : ndarray of int64, shape (m, 2)
         Indices i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
-        Distance in metres. A negative value is a depth, which for bodies with several pieces is the depth of the
-        deepest two pieces, as in `Distance`. The value is positive for separate bodies within the margin, and may round
-        to slightly above zero for bodies that just touch.
+        Distance in metres. A negative value is a depth; for bodies with several pieces, it is the depth of the two
+        pieces that overlap most deeply, as in `Distance`. The value is positive for bodies that are apart but within
+        the margin. For bodies that just touch, rounding may make it slightly positive.
     witness_a, witness_b : ndarray, shape (m, 3)
-        Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
+        Points of bodies i and j in world coordinates, such that witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)
-        Unit vectors from i to j; moving j along its vector separates the two pieces fastest.
+        Unit vectors from i to j; moving body j along the vector separates the two pieces fastest.
 
     Examples
     --------
@@ -107,27 +109,28 @@ def overlapping_pairs(
 ) -> Ints | Overlaps:
     """Find all pairs of bodies that touch, overlap, or come within `margin` of each other.
 
-    Time and memory grow with the number of bodies and the number of pairs found, not with the number of all pairs.
+    Time and memory grow with the number of bodies and with the number of returned pairs, not with the number of all
+    pairs.
 
     Parameters
     ----------
     bodies : Bodies, or Body
         n bodies, or one body that is placed at each of n poses.
     T_world : array_like, shape (n, 4, 4), or None
-        Poses of the bodies; translation in metres. None places all bodies at the identity.
+        Poses of the bodies, with translations in metres; None is the identity for all bodies.
     margin : float
         Distance in metres up to which bodies count as colliding.
     method : {"exact", "certified"}
         "exact" finds the pairs for which `collide` is true. "certified" finds the pairs that neither boxes nor
-        ellipsoids prove free: all colliding pairs and some ambiguous pairs; `classify` distinguishes the two.
+        ellipsoids prove free, that is, all colliding pairs and some ambiguous pairs; `classify` distinguishes the two.
     depth : bool
         Whether to compute the distance or depth, normal and witnesses of each pair as well.
 
     Returns
     -------
     ndarray of int64, shape (m, 2), or Overlaps
-        Indices i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
-        With ``depth=True``, an `Overlaps` whose `pairs` are this array.
+        Indices i < j of the bodies, each pair once, in lexicographic order. All other pairs are proven free. With
+        ``depth=True``, an `Overlaps` whose `pairs` are this array.
 
     Raises
     ------
@@ -140,8 +143,8 @@ def overlapping_pairs(
         If `method` is not one of the names above.
     ConvergenceError
         If the exact search could not settle a pair; such a pair is never reported as free. With ``depth=True``, also if
-        a distance could not be computed, as in `distance`; in this case, `indices` are rows of the list of pairs, and
-        `partial` has all other results.
+        a distance could not be computed, as in `distance`. In the latter case, the error's `indices` are rows of the
+        list of pairs, and its `partial` has all other results.
 
     Examples
     --------
@@ -160,7 +163,11 @@ def overlapping_pairs(
 
 
 class _Crowd(NamedTuple):
-    """Bodies at poses: how many; whether each has its own pieces, and its own pose (1 or 0); the pieces; the poses."""
+    """Bodies at poses.
+
+    `n` is the number of bodies. `steps` is 1 or 0 for whether each body has its own pieces, and whether it has its own
+    pose.
+    """
 
     n: int
     steps: tuple[int, int]
@@ -168,13 +175,13 @@ class _Crowd(NamedTuple):
     T: Floats
 
     def asked(self, rows: Ints) -> Operands:
-        """Make the operands of a query about listed pairs, with the same bodies as both operands."""
+        """Make the operands for listed pairs; both operands are the bodies of the crowd."""
         plan = np.array([rows.shape[1], *self.steps, *self.steps], dtype=np.int64)[:, None]
         return plan, rows, self.packed.handle, self.T, self.packed.handle, self.T
 
 
 def _met(mode: int, margin: float, crowd: _Crowd) -> Ints:
-    """Find the pairs of bodies that are not proven free, in lexicographic order."""
+    """List, in lexicographic order, the pairs of bodies that are not proven free."""
     n = crowd.n
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
@@ -195,7 +202,7 @@ def _met(mode: int, margin: float, crowd: _Crowd) -> Ints:
 
 
 def _measured(pairs: Ints, crowd: _Crowd) -> Overlaps:
-    """Measure the distances of pairs whose poses have been checked to be rigid motions."""
+    """Measure the distances of pairs; the poses have already been checked."""
     count = len(pairs)
     _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
     measures = measure(True, count, crowd.asked(np.ascontiguousarray(pairs.T)))
@@ -242,9 +249,10 @@ def _tree(crowd: _Crowd) -> Tree:
 
 
 def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd: _Crowd, counts: list[int]) -> Ints:
-    """Find pairs i, j that are not proven free, encoded as i n + j, with the earlier body in leaf groups first .. last.
+    """List the pairs that are not proven free and whose earlier body is in the leaf groups from `first` to `last`.
 
-    The number of pairs is appended to `counts`, which all threads share.
+    The pair of bodies i and j is encoded as i n + j. The number of pairs is appended to `counts`, which all threads
+    share.
     """
     n = crowd.n
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
@@ -271,7 +279,7 @@ def _settled(mode: int, margin: float, first: int, last: int, tree: Tree, crowd:
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
-    """Raise an exception for pairs that arithmetic could not settle, instead of guessing."""
+    """Raise an error, instead of guessing, if arithmetic could not settle a pair."""
     unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
     if len(unsettled):
         pair = int(a[unsettled[0]]), int(b[unsettled[0]])

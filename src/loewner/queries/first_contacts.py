@@ -1,4 +1,4 @@
-"""Compute when two bodies that move and turn at the same time first touch, with proof."""
+"""Compute when two bodies that move and turn first touch, with a proof."""
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ CHUNK = 512
 
 BYTES = 17  # per pair: two times and a verdict
 
-# The poses at the beginning and at the end of a motion, or the pose of a body at rest.
+# The two poses at the beginning and at the end of a motion; or one pose, for a body at rest.
 Motion = tuple[ArrayLike | None, ArrayLike | None] | ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FirstContact(_validate.Brief):
-    """When two moving bodies first touch. Each field has the batch's shape; times are fractions of the motion.
+    """When two moving bodies first touch.
+
+    Each field has the batch's shape. Times are fractions of the motion.
 
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: the bodies are proven not to touch, nor to come within the margin, at any time from 0 to 1. COLLIDING: the
-        bodies touch at `touching_at` according to the exact test of `collide`; for pieces with curved faces, this holds
-        up to about 1e-9 m. AMBIGUOUS: the bodies graze, or the search did not converge; only `free_until` is proven.
+        FREE: it is proven that the bodies neither touch nor come within the margin at any time from 0 to 1. COLLIDING:
+        the bodies touch at `touching_at` according to the exact test of `collide`; for pieces with curved faces, this
+        holds up to about 1e-9 m. AMBIGUOUS: the bodies graze each other, or the search did not converge; only
+        `free_until` is proven.
     free_until : float or ndarray
         At every real time t with 0 <= t < free_until, the bodies are proven to be farther apart than the margin; inf if
         FREE.
     touching_at : float or ndarray
-        Time at which the bodies touch or come within the margin. From `free_until` to this time, the distance of the
-        bodies changes by no more than the tolerance. For an AMBIGUOUS pair, this is a time, not before `free_until`, at
-        which the bodies touch or are within the tolerance of touching; inf if no such time is known. For a FREE pair,
-        the time is inf.
+        COLLIDING: the time at which the bodies touch or come within the margin; from `free_until` to this time, the
+        distance of the bodies changes by no more than the tolerance. AMBIGUOUS: a time, not before `free_until`, at
+        which the bodies touch or are within the tolerance of touching; inf if no such time is known. FREE: inf.
 
     Examples
     --------
@@ -80,33 +82,33 @@ def first_contact(
     a, b : Body or Bodies
         A `Bodies` of length n broadcasts with the last batch axis of the poses.
     motion_a, motion_b : tuple of two array_like, shape (..., 4, 4), or array_like, or None
-        The poses (T0, T1) of a body at the beginning and at the end, broadcast together; or a single pose for a body at
-        rest. None is the identity.
+        The poses (T0, T1) of a body at the beginning and at the end of its motion, broadcast together; or a single
+        pose, for a body at rest. None is the identity.
     tolerance : float
-        Length in metres by which the bodies may approach each other between `free_until` and `touching_at`. The
-        tolerance can be as small as about 1e-11 of the lengths involved, or 1e-8 for ellipsoids, cylinders and cones;
-        with a smaller tolerance, pairs are AMBIGUOUS.
+        Distance in metres by which the bodies may approach each other between `free_until` and `touching_at`. Choose at
+        least about 1e-11 times the lengths involved, or 1e-8 times for ellipsoids, cylinders and cones; with a smaller
+        tolerance, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
     Returns
     -------
     FirstContact
-        The pair is proven free before the time `free_until`, including all rounding (docs/certified.md, "First
+        It is proven, including all rounding, that the pair is free before `free_until` (docs/certified.md, "First
         contact"). If the bodies touch at the beginning, both times are 0.
 
     Raises
     ------
     PoseError
         If a pose does not have the shape (..., 4, 4) or is not a rigid motion; if batches do not broadcast; or if a
-        body turns by half a turn, for which neither direction is shorter (divide such a motion into two).
+        body makes half a turn, for which neither direction is shorter (divide such a motion into two).
     InputError
         If an operand is not a body, the margin is negative or not finite, or the tolerance is not positive.
 
     Notes
     -----
-    A pair of convex pieces takes a handful of searches, because the steps towards a contact converge quadratically. For
-    surfaces the steps converge linearly, and take dozens of distance computations.
+    A pair of convex pieces takes a handful of searches, because the steps towards the contact converge quadratically.
+    For surfaces, the steps converge linearly, and a pair takes dozens of distance computations.
 
     References
     ----------

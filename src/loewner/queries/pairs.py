@@ -34,13 +34,13 @@ else:
 
     Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
 
-# Value of fields that were not requested: None, typed so that it fits the fields' type variables.
+# None, as the value of fields that were not requested; its type fits the fields' type variables.
 NOTHING: Any = None
 
 # Bytes per pair in `collide` (a verdict and two flags), and in a list of pairs (two numbers).
 COLLIDE_BYTES, LIST_BYTES = 3, 16
 
-# Poses of one or more bodies, as users pass them.
+# Poses of one or more bodies, as a caller passes them.
 Poses = ArrayLike | None
 
 # The shape of an array.
@@ -52,7 +52,7 @@ METHODS = ("exact", "estimate")
 
 
 class Verdict(IntEnum):
-    """The certified answer to a query, such as whether two bodies collide.
+    """The certified answer to a question such as whether two bodies collide.
 
     Examples
     --------
@@ -62,11 +62,11 @@ class Verdict(IntEnum):
     """
 
     FREE = 0
-    """The outer ellipsoids are apart, by more than the margin: proven."""
+    """Proven: the outer ellipsoids are apart, by more than the margin."""
     COLLIDING = 1
-    """The inner ellipsoids touch or overlap, or come within the margin: proven."""
+    """Proven: the inner ellipsoids touch, overlap, or come within the margin."""
     AMBIGUOUS = 2
-    """Neither is proven; `collide` gives an estimate or the exact answer."""
+    """Neither is proven; `collide` computes the exact answer, or an estimate."""
 
     def __str__(self) -> str:
         return self.name
@@ -79,27 +79,29 @@ VerdictOrVerdicts = Verdict | Verdicts
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
-    """Signed distances of bodies in metres, arrays of the batch's shape; negative values are penetration depths.
+    """Signed distances of bodies, in metres, as arrays of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the two pieces that overlap most deeply.
     For bodies with several pieces, a negative distance is therefore the depth of one pair of pieces. The bodies
-    penetrate each other at least that deeply, but separating them can take a longer translation, since other pieces may
-    be in the way. For a surface the depth is a strict lower bound; for two convex pieces it is as accurate as an exact
-    distance. If the inner ellipsoids of a solid surface prove a greater depth than its triangles, `distance` is the
-    greater depth, while the witnesses and the normal belong to the triangles.
+    penetrate each other at least that deeply, but separating them may take a longer translation, since other pieces may
+    be in the way.
+
+    For two convex pieces, the depth is as accurate as an exact distance. For a surface, the depth is a strict lower
+    bound. If the inner ellipsoids of a solid prove a greater depth than its triangles, `distance` is the greater depth,
+    while the witnesses and the normal belong to the triangles.
 
     Attributes
     ----------
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        A guess, computed in O(1) from the product of two contact functions (of the inner and of the outer ellipsoids),
-        and clamped to the bounds.
+        A guess, clamped to the bounds. It is computed in O(1) from the product of two contact functions, one for the
+        inner and one for the outer ellipsoids.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces. This depth is the
-        length of the shortest translation that separates the two pieces.
+        With ``exact=True``: the distance of the bodies, or minus the depth of the two pieces that overlap most deeply.
+        The depth is the length of the shortest translation that separates the two pieces.
     witness_a, witness_b : ndarray, shape (..., 3), or None
-        Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
+        Points of a and of b in world coordinates, such that witness_b - witness_a = distance * normal.
     normal : ndarray, shape (..., 3), or None
         Unit vector from a to b; moving b along it separates the two pieces fastest.
 
@@ -123,13 +125,13 @@ class Distance(_validate.Brief, Generic[Number, Exact, Vector]):
 
     @property
     def wrench(self) -> Vector:
-        """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
+        """Derivative of the distance with respect to the motion of b, shape (..., 6); None without ``exact=True``.
 
-        The wrench consists of a unit force along the normal at the witness, and the moment of that force about the
+        The wrench consists of a unit force along the normal at the witness, and the moment of this force about the
         world's origin [m]. A twist consists of the velocity of the body's point at the world's origin, and the body's
-        angular velocity. If b moves with a twist, the distance changes at the rate twist·wrench; if a moves with the
-        twist, at minus this rate. Where the witnesses are not unique (parallel faces or edges), the distance has a
-        kink, and the wrench is the derivative for one choice of witnesses.
+        angular velocity. If b moves with a twist, the distance changes at the rate twist·wrench. If a moves with the
+        twist instead, the distance changes at minus this rate. The witnesses are not unique for parallel faces or
+        edges: the distance has a kink there, and the wrench is the derivative for one choice of witnesses.
 
         Examples
         --------
@@ -161,10 +163,12 @@ def _prepare(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> _Pairs:
-    """Check the operands and work out how they broadcast; the kernel checks the poses unless `check` is true.
+    """Check the operands, and determine how they broadcast.
 
-    `each` is the number of bytes of results per pair; a call whose results do not fit into memory is refused. `chosen`
-    lists rows of pairs, which replace broadcasting.
+    If `check` is false, the kernel checks the entries of the poses.
+
+    `each` is the number of bytes of results per pair; a call whose results do not fit into memory is refused. If
+    `chosen` lists row numbers of pairs, these pairs replace broadcasting.
     """
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
@@ -182,7 +186,7 @@ def expect_bodies(a: Any, b: Any) -> None:
 
 
 class Plan(NamedTuple):
-    """Which bodies and poses make up the pairs of a batch.
+    """Determines which bodies and poses form the pairs of a batch.
 
     Attributes
     ----------
@@ -191,7 +195,7 @@ class Plan(NamedTuple):
     steps : ndarray of int64, shape (5, d)
         The merged shape of the batch, and the strides of a, Ta, b and Tb in rows; see `settle_range` in the kernels.
     rows : ndarray of int64, shape (2, total) or (2, 0)
-        Rows of a and of b if the pairs are listed by row number; otherwise empty.
+        Rows of a and of b, if the pairs are listed by row numbers; otherwise empty.
     """
 
     shape: Lengths
@@ -200,7 +204,7 @@ class Plan(NamedTuple):
     rows: Ints = NO_ROWS
 
     def shaped(self, values: NDArray[Any]) -> Any:
-        """Give the values of all pairs the shape of the batch; one number becomes a number of Python."""
+        """Give the values of all pairs the shape of the batch; a single number becomes a Python number."""
         if self.shape == ():
             return values[0].item() if values.ndim == 1 else values[0]
         return values.reshape(self.shape + values.shape[1:])
@@ -211,7 +215,7 @@ class Plan(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """The broadcast operands of a query, in the form that the kernels take."""
+    """The operands of a query, in the form that the kernels take."""
 
     plan: Plan
     packs: tuple[Packed, Packed]
@@ -219,7 +223,7 @@ class _Pairs(NamedTuple):
 
     @property
     def operands(self) -> Operands:
-        """Return the plan, the rows, and the packs and poses of a and of b, in the order that the kernels take."""
+        """The plan, the rows, and the packs and poses of a and of b, in the order in which the kernels take them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan.steps, self.plan.rows, a.handle, Ta, b.handle, Tb
 
@@ -233,7 +237,7 @@ def plan_of(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> Plan:
-    """Work out from shapes how bodies and poses broadcast, or the shape of the listed pairs; see `_prepare`."""
+    """Determine how bodies and poses broadcast or, for listed pairs, the shape of the batch; see `_prepare`."""
     if chosen is not None:
         return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
@@ -275,7 +279,7 @@ def _listed(
 
 
 def _row_strides(part: Lengths, ndim: int) -> list[int]:
-    """Compute the step in an operand's rows along each axis of the batch; 0 along axes where the operand repeats."""
+    """Compute an operand's stride, in rows, along each axis of the batch; 0 along axes where the operand repeats."""
     strides = [0] * ndim
     step = 1
     for axis in range(1, len(part) + 1):
@@ -286,9 +290,9 @@ def _row_strides(part: Lengths, ndim: int) -> list[int]:
 
 
 def _collapse(shape: Lengths, strides: list[list[int]]) -> Ints:
-    """Merge neighbouring axes over which the stride of every operand is constant; usually one axis remains.
+    """Merge neighbouring axes across which every operand has one constant stride; usually one axis remains.
 
-    Return the plan, which has the merged shape in its first row, followed by a row of strides for each operand.
+    The first row of the result is the merged shape; a row of strides for each operand follows.
     """
     axes: list[list[int]] = []
     for d, length in enumerate(shape):
@@ -302,9 +306,9 @@ def _collapse(shape: Lengths, strides: list[list[int]]) -> Ints:
 
 
 def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> tuple[NDArray[np.int8], Ints]:
-    """Compute the verdict of every pair, and the number of pairs of pieces that each tier settled.
+    """Compute the verdicts of all pairs, and count the pairs of pieces that each tier settled.
 
-    With `estimate`, the product of the contact functions decides pairs that would otherwise be AMBIGUOUS.
+    With `estimate`, the product of two contact functions decides the pairs that would otherwise be AMBIGUOUS.
     """
     out = np.empty(pairs.plan.total, dtype=np.int8)
 
@@ -362,18 +366,18 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Distance in metres that the bodies have to keep. FREE means that they are farther apart than `margin`, and
-        COLLIDING means that they are not.
+        Distance in metres that the bodies have to keep. FREE means that the distance of the bodies exceeds `margin`,
+        and COLLIDING means that it does not.
     pairs : array_like of int, shape (..., 2), optional
-        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i, unless a single body or
-        pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with each of m bodies, pass
-        ``np.indices((n, m)).T``; the result has shape (m, n).
+        Pairs of a row of a and a row of b to compare, instead of broadcasting. Row i of a is body i at pose i; a single
+        body or a single pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with each of
+        m bodies, pass ``np.indices((n, m)).T``; the result has shape (m, n).
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...)
-        FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two unions of pieces are FREE only if
-        every pair of pieces is FREE, and COLLIDING if any pair of pieces is COLLIDING.
+        FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two bodies are FREE only if all pairs
+        of their pieces are FREE, and COLLIDING if any pair of pieces is COLLIDING.
 
     Raises
     ------
@@ -453,9 +457,9 @@ def collide(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
-        Both methods first use the certificate. "exact" settles ambiguous pairs by a search on the pieces themselves.
-        "estimate" guesses their answers in O(1), from the product of two contact functions, one for the inner and one
-        for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
+        Both methods first use the certificate. For ambiguous pairs, "exact" then searches on the pieces themselves,
+        whereas "estimate" guesses the answer in O(1) from the product of two contact functions, one for the inner and
+        one for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
         Distance in metres up to which pairs count as colliding.
     pairs : array_like of int, shape (..., 2), optional
@@ -464,9 +468,9 @@ def collide(
     Returns
     -------
     bool, or ndarray of bool, shape (...)
-        Touching counts as colliding. With "exact", False is proven, and True is proven up to rounding
-        (docs/certified.md): bodies that are apart by less than about 1e-12 of the lengths involved may count as
-        touching, in one order of the bodies or in both.
+        Touching counts as colliding. With "exact", False is proven. True is proven up to rounding (docs/certified.md):
+        bodies that are apart by less than about 1e-12 of the lengths involved may count as touching, possibly in only
+        one order of the bodies.
 
     Raises
     ------
@@ -501,10 +505,11 @@ def collide(
 def decided(
     exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any = None
 ) -> tuple[BoolOrBools, Bools]:
-    """Decide whether bodies collide; unsettled pairs count as colliding, and are marked in a flat array."""
+    """Decide whether bodies collide; unsettled pairs count as colliding, and a flat array marks them."""
     pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, pairs, estimate=not exact)
-    # Compare with a plain number: NumPy would call Python code of `Verdict`, and drop an interrupt that occurs there.
+    # Compare with a plain number. With a `Verdict`, NumPy would call the enumeration's Python code, and drop an
+    # interrupt that occurs in this code.
     unsettled = out == codes.AMBIGUOUS
     return pairs.plan.shaped((out == codes.COLLIDING) | unsettled), unsettled
 
@@ -573,7 +578,7 @@ def distance(
     exact: bool = False,
     pairs: ArrayLike | None = None,
 ) -> Distance:
-    """Compute proven bounds on the signed distance of two bodies and, on request, the exact distance.
+    """Compute proven bounds on the signed distance of two bodies and, with ``exact=True``, the distance itself.
 
     Parameters
     ----------
@@ -588,18 +593,18 @@ def distance(
     Returns
     -------
     Distance
-        Distances are positive for separate bodies, negative for overlapping bodies, and zero for touching bodies. The
-        signed distance of two bodies is the least signed distance of any pair of their pieces; `Distance` explains the
-        meaning of depths.
+        The distance is positive for separate bodies, zero for touching bodies, and negative for overlapping bodies. The
+        signed distance of two bodies is the least signed distance of any two pieces; `Distance` explains what a depth
+        means.
 
     Raises
     ------
     PoseError, InputError
         As for `classify`, and if `exact` is neither True nor False.
     ConvergenceError
-        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth computed for
-        cylinders, cones and capsules is never less than the true depth; if many directions tie, it is proven to 1e-3.)
-        For ellipsoids with axis ratios beyond about 5e7, one pair in twenty fails.
+        If an exact distance could not be computed to within 1e-9 of the lengths involved. For ellipsoids with axis
+        ratios beyond about 5e7, this happens for one pair in twenty. (The penetration depth of cylinders, cones and
+        capsules is never less than the true depth. If many directions tie, the depth is only proven to within 1e-3.)
 
     Examples
     --------
@@ -619,21 +624,21 @@ def distance(
 
 @guarded
 def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
-    """Move bodies along wrenches: a step of gradient ascent for distances, or for penalties made of distances.
+    """Move bodies along wrenches: a step of gradient ascent on distances, or on functions of distances.
 
-    Each body is translated by the force of its wrench. The body also turns about its own origin by a rotation vector:
-    the moment about this origin, divided by the square of the radius. To first order, a distance with this wrench grows
-    by the squared force plus the squared moment divided by the squared radius.
+    Each body is translated by the force of its wrench. It also turns about its own origin; the rotation vector is the
+    moment about this origin, divided by the squared radius. To first order, a distance with this wrench grows by f² +
+    m² / r², where f is the force, m the moment, and r the radius.
 
     Parameters
     ----------
     T_world_body : array_like, shape (..., 4, 4), or None
         Poses; translation in metres. None is the identity.
     wrench : array_like, shape (..., 6)
-        Multiples and sums of `Distance.wrench`: a force, in metres, and its moment about the world's origin [m²]. For
-        the first body of a distance, use the negative wrench.
+        A `Distance.wrench`, or sums and multiples of such wrenches: a force [m], and a moment about the world's origin
+        [m²]. For the first body of a distance, use the negative wrench.
     radius : float
-        Distance in metres between a body's origin and its typical points: the lever arm at which turns count as much as
+        Typical distance, in metres, of a body's points from its origin. At this distance, rotations count as much as
         translations.
 
     Returns
@@ -676,7 +681,10 @@ def push(T_world_body: Poses, wrench: ArrayLike, *, radius: float) -> Floats:
 
 @guarded
 def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen: Any = None) -> tuple[Distance, Bools]:
-    """Compute bounds on distances, and distances, which are NaN for unsettled pairs; a flat array marks these pairs."""
+    """Compute bounds on distances and, with `exact`, the distances.
+
+    A flat array marks unsettled pairs, whose distances are NaN.
+    """
     pairs = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     *answers, unsettled = measure(exact, pairs.plan.total, pairs.operands)
     return Distance(*map(pairs.plan.shaped, answers if exact else answers[:3])), unsettled
@@ -684,7 +692,7 @@ def measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: bool, chosen
 
 @guarded
 def _expect_settled(unsettled: Bools, query: str, partial: Any) -> None:
-    """Raise an exception if arithmetic could not settle some pairs, instead of guessing."""
+    """Raise an error, instead of guessing, if arithmetic could not settle some pairs."""
     indices = np.flatnonzero(unsettled)
     if len(indices):
         raise ConvergenceError(

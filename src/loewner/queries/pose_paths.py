@@ -1,5 +1,8 @@
-"""Motions of bodies in time: poses at given times, between which bodies move on a straight line and turn at a constant
-rate."""
+"""Motions of bodies in time.
+
+A motion consists of poses at several times. Between two times, the body moves along a straight line and turns at a
+constant rate.
+"""
 
 from __future__ import annotations
 
@@ -20,56 +23,58 @@ from loewner._kernels import tolerances
 from loewner._native import entries
 from loewner.errors import InputError
 
-# Turns between two poses must stay this far [rad] below half a turn, for which neither direction is shorter.
+# A turn between two poses must be smaller than half a turn by at least this angle [rad]. For half a turn, neither
+# direction is shorter.
 NEARLY_HALF = 1e-3
 
-# A motion that is given by a twist is divided into turns of at most this angle [rad].
+# A motion with a twist is divided into turns of at most this angle [rad].
 MOST_TURN = 3.0
 
-# Largest angle [rad] between the quaternions at the ends of a piece that is approximated by a cubic curve.
+# Motions are approximated by cubic curves in pieces; the quaternions at the ends of a piece differ by at most this
+# angle [rad].
 MOST_ARC = 0.05
 
-# The first and last pose of a motion that repeats may differ by CLOSED, relative to its positions, and by the angle
-# CLOSED_TURN [rad].
+# The first and the last pose of a motion that repeats may differ: in position by CLOSED, relative to the largest
+# coordinate or 1 m, and in orientation by the angle CLOSED_TURN [rad].
 CLOSED, CLOSED_TURN = 1e-9, 1e-6
 
-# Largest speed [m/s], and shortest time between two poses [s]; bounds on rounding overflow only far beyond these
-# limits.
+# Largest speed [m/s], and shortest time between two poses [s]. Within these limits, bounds on rounding are far from
+# overflow.
 FASTEST, SHORTEST = 1e12, 1e-12
 
-# Number of repetitions after which rounding exceeds the times within a motion.
+# After this many repetitions, times within a motion are lost in rounding.
 MOST_REPEATED = 2.0**40
 
-# Largest number of times that a query may use, over all repetitions and parts of turns.
+# Largest number of knots of a query, including all repetitions and the parts into which turns are divided.
 MOST_KNOTS = 2**22
 
-# Rounding may reduce a bound on deviations by this fraction of the bound's largest value on a piece of a motion.
+# Allowance for rounding in a bound on deviations, relative to the bound's largest value on a piece of a motion.
 OFF_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B69
 
-# Largest deviation of a body [m]. Nothing counts as free of a body that deviates so far, because kernels refuse bodies
-# of this size.
+# Largest deviation of a body [m]. With a larger deviation, no configuration counts as free of the body, because the
+# kernels refuse lengths of this size.
 MOST_OFF = 1e100
 
 
 @dataclass(frozen=True)
 class PoseBounds:
-    """How far a body may be from its given pose; see `Scene.follow` and `Scene.move`.
+    """Bounds on how far a body may be from its stated pose; see `Scene.follow` and `Scene.move`.
 
     At time t, the body's origin deviates by at most metres + speed |t - since|, and its orientation by at most radians
     + turn |t - since|. A point at distance ρ from the origin deviates by no more than the first bound plus ρ times the
-    second. The bounds therefore depend on the position of the origin of the body's frame.
+    second bound. The deviation therefore depends on where the origin of the body's frame is.
 
     Attributes
     ----------
     metres, radians : float
         Constant errors of position and orientation.
     speed, turn : float
-        Growth of the errors [m/s, rad/s].
+        Rates at which the errors grow [m/s, rad/s].
     since : float
         Time from which the errors grow [s].
     reach : float
-        The largest ρ [m]: an upper bound on the distance of the body's points from its origin. Surfaces and clouds with
-        a radius count without it, since a turn moves a ball no farther than its center.
+        The largest ρ [m]: an upper bound on the distance of the body's points from its origin. The radius of a surface
+        or cloud does not count, since a rotation moves a ball no farther than its center.
 
     Examples
     --------
@@ -89,14 +94,14 @@ class PoseBounds:
 
     @property
     def rate(self) -> float:
-        """Growth of the bound on the deviation of the body's points [m/s]."""
+        """Rate at which the bound on the deviation of the body's points grows [m/s]."""
         return self.speed + self.reach * self.turn
 
     def off(self, t: Any) -> Any:
-        """Bound how far points of the body may deviate at times t, shape (...), in metres."""
+        """Bound the deviation, in metres, of the body's points at times t, shape (...)."""
         with np.errstate(over="ignore", invalid="ignore"):
             deviation = (self.metres + self.reach * self.radians) + self.rate * np.abs(t - self.since)
-            return np.fmin(deviation * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # MOST_OFF also replaces NaN
+            return np.fmin(deviation * (1.0 + OFF_ROUNDINGS), MOST_OFF)  # MOST_OFF replaces NaN as well
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,9 +115,9 @@ class PosePath(_validate.Brief, KeepsReadOnly):
     positions : ndarray, shape (n, 3)
         Metres. Between two times, the position changes linearly.
     quaternions : ndarray, shape (n, 4)
-        Real part first. Between two times, the body turns the shorter way at a constant rate.
+        The real part comes first. Between two times, the body turns the shorter way, at a constant rate.
     repeat : bool
-        Whether the motion starts again when it ends. If false, the body waits at the first pose before the motion, and
+        Whether the motion starts again when it ends. If false, the body stays at the first pose before the motion, and
         at the last pose after the motion.
 
     Examples
@@ -163,13 +168,13 @@ class PosePath(_validate.Brief, KeepsReadOnly):
 
     @kept
     def arcs(self) -> Floats:
-        """Angles between successive quaternions [rad], which are half of the body's turns."""
+        """Angles between successive quaternions [rad]; the body turns by twice these angles."""
         chords = np.linalg.norm(np.diff(self.quaternions, axis=0), axis=1)
         return np.asarray(2.0 * _elementary.arcsin(np.minimum(chords / 2.0, 1.0)))
 
     @kept
     def _fine(self) -> Floats:
-        """The times of the motion, and additional times, so that angles between quaternions are at most `MOST_ARC`."""
+        """The times of the motion, with additional times so that angles between quaternions are at most `MOST_ARC`."""
         parts: Ints = np.maximum(np.ceil(self.arcs / MOST_ARC), 1).astype(np.int64)
         first = np.repeat(np.arange(len(parts)), parts)
         share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
@@ -183,8 +188,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     Raises
     ------
     InputError
-        If there are fewer than two times, times do not increase, the number of poses differs from the number of times,
-        two successive poses differ by half a turn, or a motion that repeats does not end at its first pose.
+        If there are fewer than two times, times do not increase, the numbers of poses and times differ, two successive
+        poses differ by half a turn, or a motion that repeats does not end at its first pose.
     PoseError
         If a pose is not a rigid motion.
     """
@@ -213,7 +218,7 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
         positions[-1], quaternions[-1] = positions[0], quaternions[0]
     signs = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(signs)[:, None]
-    read_only(at, positions, quaternions)  # a change in place would go unnoticed
+    read_only(at, positions, quaternions)  # so that no change in place goes unnoticed
     path = PosePath(at, positions, quaternions, repeat)
     for k in np.flatnonzero(path.arcs > (np.pi - NEARLY_HALF) / 2)[:1]:
         raise InputError(
@@ -231,13 +236,14 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
 
 
 def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Floats, Floats]:
-    """Make times and poses of a body that turns about its origin while the origin moves along a straight line, both at
-    constant rates.
+    """Make the times and poses of a body that moves with a twist.
+
+    The body's origin moves along a straight line while the body turns about its origin, both at constant rates.
 
     Raises
     ------
     InputError
-        If the times are not two increasing numbers, if more than one pose is given, or if there are too many turns.
+        If the times are not two increasing numbers, if there is more than one pose, or if there are too many turns.
     """
     at, rates = _validate.finite_array(times, "times", (None,)), _validate.finite_array(twist, "twist", (6,))
     first = _validate.poses(pose, "poses")
@@ -262,12 +268,13 @@ def with_twist(times: ArrayLike, pose: ArrayLike, twist: ArrayLike) -> tuple[Flo
 
 
 def _knots(path: PosePath, low: Floats, high: Floats, fine: bool) -> Floats:
-    """List the times of a motion that repeats, between each `low` and `high`; `fine` adds times between short turns.
+    """List at least the times of a repeating motion between each `low` and `high`; `fine` adds times to divide turns.
 
     Raises
     ------
     InputError
-        If there are more than `MOST_KNOTS` times, or the motion has repeated so often that rounding exceeds its period.
+        If there are more than `MOST_KNOTS` times, or if the motion has repeated so often that its times are lost in
+        rounding.
     """
     at = path._fine if fine else path.times
     with np.errstate(over="ignore"):
@@ -299,14 +306,14 @@ class PackedPaths(NamedTuple):
     far, speeds, turns : ndarray, shape (bodies,)
         Bounds on the entries of positions [m], on speeds [m/s] and on rates of quaternions [1/s].
     spans : ndarray, shape (bodies,)
-        The largest number that is added to a time to locate the time in each body's motion [s].
+        For each body, the largest number that is added to a time when the time is located in the body's motion [s].
     once : tuple of 2 ndarray
-        The times of all motions that do not repeat, in order; and the same list with additional times between short
+        The times of all motions that do not repeat, in order; and the same list, with additional times that divide
         turns.
     bounds : tuple of PoseBounds
-        How far bodies may deviate from their motions or poses.
+        Bounds on how far bodies may deviate from their motions or poses.
     numbers : ndarray, shape (len(bounds),)
-        The index of each body in `bounds` among all bodies; negative for a body without pieces.
+        For each entry of `bounds`, the index of the body among all bodies; negative for a body without pieces.
     """
 
     paths: tuple[PosePath, ...]
@@ -327,7 +334,7 @@ class PackedPaths(NamedTuple):
     def of(
         cls, paths: tuple[PosePath, ...], bounds: tuple[PoseBounds, ...] = (), numbers: Ints | None = None
     ) -> PackedPaths:
-        """Pack motions, and bounds on the deviations of the bodies with these indices."""
+        """Pack motions, and bounds on the deviations of the bodies with the indices `numbers`."""
         kinks = [one.since for one in bounds]
         steps = [np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths]
         lengths = [np.diff(path.times) for path in paths]
@@ -351,22 +358,21 @@ class PackedPaths(NamedTuple):
         )  # fmt: skip
 
     def values(self, t: Floats) -> Floats:
-        """Compute positions and quaternions at times, shape (N, bodies, 7); the signs of quaternions are arbitrary."""
+        """Compute positions and quaternions at times t, shape (N, bodies, 7); the quaternions' signs are arbitrary."""
         out = np.empty((len(t), len(self.paths), 7))
         if self.paths:
             entries.pose_values(self.start, self.times, self.rows, self.arcs, self.periods, np.array(t), out)
         return out
 
     def off(self, begin: Floats, end: Floats, ticks: Floats | float = 0.0) -> Floats:
-        """Bound how far points of bodies may deviate between `begin` and `end`, shape (N,), rounded by up to `ticks`.
+        """Bound the deviations of bodies' points from time `begin` to time `end`, shape (N,) each.
 
-        The bound is linear between the two times.
+        The times are rounded by up to `ticks`. The bound is linear between the two times.
 
         Returns
         -------
         ndarray, shape (N, 3 len(bounds))
-            For each body, its index and its deviations in metres at both times, in the form that `motions.settle`
-            takes.
+            For each body, its index and the bounds in metres at both times, in the form that `motions.settle` takes.
         """
         deviations = np.empty((len(begin), len(self.bounds), 3))
         for k, one in enumerate(self.bounds):
@@ -376,7 +382,7 @@ class PackedPaths(NamedTuple):
         return deviations.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List in order at least all times from t0 to t1, shape (N,) each, at which bodies change their rates.
+        """List, in order, at least all times between t0 and t1, shape (N,) each, at which bodies change their rates.
 
         See `_knots` for `fine` and for errors.
         """

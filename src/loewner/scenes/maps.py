@@ -1,4 +1,4 @@
-"""Read occupancy grids of ROS's map server: a YAML file with thresholds and a grey image."""
+"""Read occupancy grids of the ROS map server, each a YAML file with thresholds and a grey image."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from loewner.errors import FileError, imported
 # Largest size of a file, and largest number of pixels of an image.
 LARGEST_YAML, LARGEST_IMAGE, MOST_PIXELS = 1_000_000, 500_000_000, 400_000_000
 
-# The grey of unknown cells in the files that ROS writes.
+# Grey value of unknown cells in files that ROS writes.
 UNKNOWN_GREY = 205
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
@@ -38,12 +38,12 @@ class Map(NamedTuple):
     Attributes
     ----------
     occupied, unknown : ndarray of bool, shape (p, q)
-        In the frame of the lowest corner, cell (i, j) extends from (i, j) to (i + 1, j + 1), times the resolution.
+        Flags of the cells. In units of the resolution, and in the frame of the lowest corner, cell (i, j) extends from
+        (i, j) to (i + 1, j + 1).
     resolution : float
         Edge of a cell, in metres.
     origin : ndarray, shape (3,)
-        Position of the grid's lowest corner in the world (x and y, in metres), and the grid's rotation about z, in
-        radians.
+        Position x, y of the grid's lowest corner in the world, in metres, and the grid's rotation about z, in radians.
     """
 
     occupied: Bools
@@ -53,14 +53,14 @@ class Map(NamedTuple):
 
 
 def read_map(path: str | os.PathLike[str]) -> Map:
-    """Read a map of ROS's map server, in the modes trinary and scale.
+    """Read a map of the ROS map server, in mode trinary or scale.
 
     Raises
     ------
     FileError
         If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not between 0 and 1.
     MissingExtraError
-        If PyYAML is missing, or Pillow for images other than PGM.
+        If PyYAML is missing, or if the image is not a PGM and Pillow is missing.
     """
     file = _validate.path(path, "path")
     values = read_yaml(_files.read_regular(file, "a map", LARGEST_YAML), file, "a map").mapping(KEYS, REQUIRED)
@@ -86,18 +86,18 @@ def read_map(path: str | os.PathLike[str]) -> Map:
         )
     # The first row of an image has the largest y.
     filled, empty = ((test[::-1].T).copy() for test in (share >= occupied, share < free))
-    if mode == "scale":  # values between the thresholds are costs, not unknown cells
+    if mode == "scale":  # values between the thresholds are costs and do not mark unknown cells
         filled = ~empty
     return Map(filled, ~filled & ~empty, resolution, origin)
 
 
 def rectangles(cells: Bools) -> Ints:
-    """Divide cells into rectangles: runs along the second axis, merged with equal runs in the rows that follow.
+    """Divide cells into rectangles: runs along the second axis, merged with equal runs in the following rows.
 
     Returns
     -------
     ndarray of int64, shape (n, 4)
-        Indices of the first cell, and indices after the last cell, along both axes: i0, j0, i1, j1.
+        For each rectangle i0, j0, i1, j1: the indices of its first cell, and the indices just after its last cell.
     """
     padded = np.pad(cells, ((0, 0), (1, 1))).astype(np.int8)
     rows, starts = np.nonzero(np.diff(padded, axis=1) == 1)
@@ -112,7 +112,7 @@ def rectangles(cells: Bools) -> Ints:
 
 
 def body_of(grid: Map, height: float, *, unknown: bool) -> Body | None:
-    """Make boxes of the occupied cells, in the frame of the map's lowest corner; return None if no cell is occupied."""
+    """Make boxes from the occupied cells, in the frame of the map's lowest corner; None if no cell is occupied."""
     cells = rectangles(grid.occupied | grid.unknown if unknown else grid.occupied)
     if len(cells) == 0:
         return None
@@ -129,13 +129,13 @@ def around(grid: Map, height: float, width: float) -> Body:
 
 
 def _boxes(low: Floats, high: Floats, height: float) -> Body:
-    """Make boxes on the plane z = 0 between corners in this plane, shape (n, 2)."""
+    """Make boxes on the plane z = 0, given the lower and upper corners of their bases, shape (n, 2)."""
     centers = np.column_stack([(low + high) / 2.0, np.full(len(low), height / 2.0)])
     return Body.boxes(centers, np.column_stack([high - low, np.full(len(low), height)]))
 
 
 def bounds_of(grid: Map) -> Floats:
-    """Compute the least and the largest x and y of a map in the world, shape (2, 2), with one row per axis."""
+    """Compute the extent of a map in the world: one row each for x and y, with the least and the largest value."""
     corners = grid.resolution * np.array(grid.occupied.shape) * [[0, 0], [0, 1], [1, 0], [1, 1]]
     T = corner(grid)
     places = corners @ T[:2, :2].T + T[:2, 3]
@@ -150,7 +150,7 @@ def _share(node: YamlNode) -> float:
 
 
 def _grey(file: Path) -> tuple[Ints, int]:
-    """Read a grey image and its value for white."""
+    """Read a grey image, and the value that stands for white."""
     data = _files.read_regular(file, "the image of a map", LARGEST_IMAGE)
     head = PGM.match(data)
     if head is None:
@@ -171,7 +171,7 @@ def _grey(file: Path) -> tuple[Ints, int]:
 
 
 def _grey_by_pillow(data: bytes, file: Path) -> tuple[Ints, int]:
-    """Read PNG, BMP and similar formats."""
+    """Read an image in PNG, BMP or a similar format."""
     pillow = imported("PIL.Image", f"{file}: expected Pillow for images other than PGM", "plots")
     try:
         with pillow.open(io.BytesIO(data)) as image:

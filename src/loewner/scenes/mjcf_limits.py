@@ -1,4 +1,4 @@
-"""Limits on an MJCF file, checked before MuJoCo compiles the file, since no signal can interrupt the compiler."""
+"""Check the size of an MJCF file before MuJoCo compiles the file, since no signal can interrupt the compiler."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from loewner._base._files import read_regular, shown
 from loewner._base._xml import Element, XmlError, parse
 from loewner.errors import FileError
 
-# Limits on a model: bytes, elements and their nesting in each file, included files, and copies made by replicas. The
-# time to compile grows with the square of the number of copies. MOST_COPIES copies take a few seconds, and have more
-# pairs than a checker accepts.
+# Limits for each file on bytes, on elements, and on the nesting of elements; and limits for a model on included files,
+# and on copies made by replicas. The time to compile grows with the square of the number of copies. Compiling
+# MOST_COPIES copies takes a few seconds, and gives more pairs than a checker accepts.
 MOST_BYTES = 2**26
 MOST_ELEMENTS = 2_000_000
 DEEPEST = 1000
 MOST_INCLUDES = 100
 MOST_COPIES = 4096
 
-# Bytes that MuJoCo uses for each sample of a height field while it compiles.
+# Bytes that MuJoCo's compiler uses for each sample of a height field.
 BYTES_A_SAMPLE = 64
 
-# Elements that name files, and the attributes in which <compiler> names folders for them.
+# Elements that name files, and the attributes of <compiler> that name folders of files.
 FILE_ELEMENTS = ("mesh", "hfield", "skin", "texture", "model", "include", "plugin", "flexcomp")
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 @dataclass
 class _Model:
-    """The parts of a model read so far.
+    """The parts of a model that have been found so far.
 
     Attributes
     ----------
     folder : Path
         Folder of the main file.
     copies : int
-        Number of copies made by replicas and composites, multiplied for nested ones.
+        Number of copies made by replicas and composites; the numbers of nested replicas are multiplied.
     folders : set of str
-        Folders of files, as given by <compiler>.
+        Folders that <compiler> names, and the empty folder.
     files : list of tuple of Path and str
-        Files that name other files, each with a name in it.
+        Each entry is a file, and a name of another file that it contains.
     included : int
     """
 
@@ -54,12 +54,12 @@ class _Model:
 
 
 def check_limits(file: Path) -> str:
-    """Refuse a model on which MuJoCo's compiler would run forever or block; return the tag of the root element.
+    """Refuse a model on which MuJoCo's compiler would run very long or block; return the tag of the root element.
 
     Raises
     ------
     FileError
-        If a file is missing or not a regular file, or includes, replicas or height fields are too large.
+        If a file is missing or is not a regular file, or if includes, replicas or height fields exceed the limits.
     """
     model = _Model(file.parent)
     tag = _look(file, model, 1)
@@ -73,7 +73,7 @@ def check_limits(file: Path) -> str:
 
 
 def _look(file: Path, model: _Model, copies: int) -> str:
-    """Read a file that is included at a place copied the given number of times; return the tag of its root."""
+    """Search a file, which the model contains `copies` times, and its included files; return the tag of its root."""
     data = read_regular(file, "an MJCF file", MOST_BYTES)
     try:
         root = parse(data, "an MJCF file", Element, deepest=DEEPEST, most=MOST_ELEMENTS)
@@ -103,7 +103,7 @@ def _look(file: Path, model: _Model, copies: int) -> str:
             model.included += 1
             if model.included > MOST_INCLUDES:
                 raise FileError(f"{where} {MOST_INCLUDES} included files, found more")
-            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches the main file's folder
+            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo searches the main file's folder first
                 if os.path.lexists(folder / name):
                     _look(folder / name, model, within)
                     break

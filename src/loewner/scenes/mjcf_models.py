@@ -1,7 +1,7 @@
 """Read bodies, joints and contacts of an MJCF file from the model that MuJoCo compiles.
 
-MuJoCo handles the format best (defaults, includes, frames, replicas, composites), so MuJoCo reads the file, and this
-module reads MuJoCo's model. Robots and scenes are made from the result.
+The format is complicated (defaults, includes, frames, replicas, composites). MuJoCo therefore reads the file, and this
+module reads the model that MuJoCo makes. Robots and scenes are made from the result.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, imported
 from loewner.scenes.mjcf_limits import check_limits
 
-# In MuJoCo, a plane is a half-space. A cube below the plane, centered at the plane's center, replaces the half-space;
-# its edge [m] is the longest that causes no warning about units.
+# In MuJoCo, a plane is a half-space. A cube replaces the half-space; its upper face is centered at the plane's center.
+# The cube's edge [m] is the longest that causes no warning about units.
 PLANE_EDGE = 1000.0
 
-# Limit on the pairs of parts of a model: far more than any model has.
+# Limit on the number of pairs of parts of a model, far above the number in any real model.
 MOST_PAIRS = 2**22
 
 
 class MjcfJoint(NamedTuple):
-    """A joint of a body; a body may have several joints, which move it one after another.
+    """A joint of a body.
+
+    A body may have several joints, which act one after another.
 
     Attributes
     ----------
@@ -40,12 +42,12 @@ class MjcfJoint(NamedTuple):
     anchor, axis : ndarray, shape (3,)
         Anchor and axis in the frame of the joint's body; the axis has unit length.
     lower, upper : float
-        Limits of a hinge [rad] or slide [m]; infinite for joints without limits, and for balls and free joints.
+        Limits of a hinge [rad] or a slide [m]; infinite for a joint without limits, and for a ball or free joint.
     reference : float
-        Value of the joint at which the body has the pose given in the file: `ref` in the file.
+        Value of the joint at which the body has the pose stated in the file: the attribute `ref`.
     mimic : tuple, optional
-        The name of the joint that this joint follows, a multiplier and an offset; given only if an equality in the file
-        couples the two joints and equalities are read.
+        The name of the joint that this joint follows, a multiplier and an offset. It is None unless equalities are
+        read, and an equality in the file couples the two joints.
     """
 
     name: str
@@ -59,20 +61,23 @@ class MjcfJoint(NamedTuple):
 
 
 class MjcfBody(NamedTuple):
-    """A body, with its pose in the frame of its parent; the world is the first body and its own parent.
+    """A body, with its pose in the frame of its parent.
+
+    The world is the first body, and is its own parent.
 
     Attributes
     ----------
     name : str
     parent : int
     T_parent_body : ndarray, shape (4, 4)
-        Pose with the body's joints at their references.
+        Pose in the frame of the parent, with the body's joints at their references.
     joints : tuple of MjcfJoint
     parts : dict
-        Maps names to bodies in the frame of this body. A part is made of the geoms that collide with the same geoms of
-        other bodies. The first part has the name of the body; in the world, each part has the name of its only geom.
+        Maps the name of each part to a `Body` in the frame of this body. A part consists of the geoms that collide with
+        the same geoms of other bodies. The first part has the name of the body; in the world, each part has the name of
+        its only geom.
     T_world_body : ndarray, shape (4, 4)
-        Pose with all joints at their references.
+        Pose in the world, with all joints at their references.
     """
 
     name: str
@@ -91,10 +96,10 @@ class MjcfModel(NamedTuple):
     name : str
     path : Path
     bodies : tuple of MjcfBody
-        In MuJoCo's order: parents before children.
+        In MuJoCo's order, with parents before children.
     related_pairs : frozenset
-        Sorted pairs of names of parts. MuJoCo skips these pairs because the parts are rigidly joined, or belong to a
-        parent and its child.
+        Pairs of parts, as sorted names, that MuJoCo skips because the parts are rigidly joined, or belong to a parent
+        and its child.
     excluded_pairs : frozenset
         Pairs that MuJoCo skips because of <exclude>, contype or conaffinity in the file.
     keyframes : dict
@@ -123,7 +128,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     FileError
         If the file does not exist, or MuJoCo cannot compile it.
     InputError
-        If a colliding geom is a signed distance field, which cannot be read.
+        If a colliding geom is a signed distance field, which is not supported.
     GeometryError
         If a colliding mesh is flat.
     MissingExtraError
@@ -132,8 +137,9 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     Warns
     -----
     UserWarning
-        Once, if the file contains parts that change MuJoCo's motions or contacts but are not read: flexible bodies,
-        constraints, margins of geoms, and all limits except the limits of joints with one value.
+        If the file contains elements that change MuJoCo's motions or contacts but are not read: flexible bodies,
+        constraints, margins of geoms, and all limits except the limits of hinges and slides. One warning lists all such
+        elements.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     return compiled_model(_compiled(file), None, file, tol, couplings=False)
@@ -146,12 +152,12 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData, optional
-        Supplies the poses of mocap bodies and the active constraints; by default, the model supplies them.
+        Supplies the poses of mocap bodies, and which constraints are active; by default, the model supplies both.
     file : Path
-        Used for messages and names.
+        The file's path, for messages and names.
     tol : float
     couplings : bool
-        Whether a joint follows the joint to which an equality couples it.
+        Whether to read equalities, by which a joint follows another joint.
     """
     mujoco = _mujoco()
     names = _Names(model)
@@ -215,13 +221,13 @@ def _compiled(file: Path) -> Any:
         )
     try:
         return mujoco.MjModel.from_xml_path(os.fspath(file))
-    except Exception as error:  # usually a ValueError, but MuJoCo's own code or a lack of memory may raise any error
+    except Exception as error:  # usually a ValueError, but MuJoCo's own code or a lack of memory may raise others
         reason = " ".join(str(error).split())
         raise FileError(f"{file}: expected an MJCF file, found a file that MuJoCo refuses ({reason})") from None
 
 
 def _unread(mujoco: Any, model: Any) -> dict[str, int]:
-    """Count the parts of a model that are not read and that affect motions or contacts in MuJoCo."""
+    """Count the elements of a model that affect motions or contacts in MuJoCo but are not read."""
     colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     balls = model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
     mocap = np.flatnonzero(model.body_mocapid >= 0)
@@ -241,7 +247,7 @@ def _unread(mujoco: Any, model: Any) -> dict[str, int]:
 
 
 def _narrower(mujoco: Any, model: Any) -> int:
-    """Count actuators that hold a joint at the control's value and have a narrower range than the joint."""
+    """Count the actuators that hold a joint at the value of a control whose range is narrower than the joint's."""
     joint = model.actuator_trnid[:, 0]
     holds = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_ctrllimited != 0)
     holds &= (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) & (model.actuator_gear[:, 0] == 1)
@@ -254,7 +260,7 @@ def _narrower(mujoco: Any, model: Any) -> int:
 
 
 class _Names:
-    """Names of bodies, joints, geoms and keyframes, unique within their kind; kind and index replace a missing name."""
+    """Names of bodies, joints, geoms and keyframes, unique within a kind; kind and index replace a missing name."""
 
     def __init__(self, model: Any) -> None:
         self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
@@ -266,8 +272,8 @@ class _Names:
     def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
         """Return a part's unique name.
 
-        The first part of a body has the body's name, and each further part has the name BODY/GEOM of its first geom. In
-        the world, a part has the name of its geom.
+        The first part of a body has the body's name. Each further part has the name BODY/GEOM, where GEOM is its first
+        geom. In the world, a part has the name of its geom.
         """
         if body and not number:
             return self.bodies[body]
@@ -279,7 +285,7 @@ class _Names:
 
 
 def _named(names: list[str], kind: str) -> list[str]:
-    """Return the names, with new names for unnamed entries."""
+    """Return the names, with new names in place of empty names."""
     taken = set(names)
     return [name or _validate.unused(f"{kind}{number}", taken) for number, name in enumerate(names)]
 
@@ -294,7 +300,7 @@ def _placed(mujoco: Any, model: Any, data: Any) -> list[Floats]:
 
 
 def _in_parent(model: Any, data: Any, body: int) -> Floats:
-    """Return the pose of a body in its parent; the data holds the pose of a mocap body."""
+    """Return the pose of a body in the frame of its parent; for a mocap body, `data` has the pose."""
     mocap = int(model.body_mocapid[body])
     if data is None or mocap < 0:
         return _pose(model.body_pos[body], model.body_quat[body])
@@ -306,9 +312,9 @@ def _pose(position: Floats, wxyz: Floats) -> Floats:
 
 
 def _couplings(mujoco: Any, model: Any, names: _Names, active: Bools) -> dict[int, tuple[str, float, float]]:
-    """Return, keyed by number, the joints that follow another joint linearly because of an active equality.
+    """Return the joints that follow another joint linearly because of an active equality, keyed by index.
 
-    MuJoCo has y - y0 = c0 + c1 (x - x0) + ..., where y0 and x0 are the values at the references.
+    MuJoCo's equality is y - y0 = c0 + c1 (x - x0) + ..., where y0 and x0 are the joints' references.
     """
     followed: dict[int, int] = {}
     mimics = {}
@@ -345,10 +351,10 @@ def _joint(model: Any, names: _Names, joint: int, mimics: dict[int, tuple[str, f
 
 
 def _members(model: Any) -> list[list[tuple[int, ...]]]:
-    """List, for each body, the geoms of each part, in the order of the file; geoms that never collide are left out.
+    """List the geoms of each part of each body, in the order of the file; geoms that never collide are left out.
 
-    Geoms of a body that collide with the same geoms form one part. A geom of the world, or a geom that a <pair> names,
-    forms a part alone.
+    Geoms of a body that collide with the same geoms form one part. A geom of the world, or a geom that is named by a
+    <pair>, forms its own part.
     """
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     parts: list[dict[tuple[int, ...], list[int]]] = [{} for _ in range(model.nbody)]
@@ -375,7 +381,7 @@ def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, to
 
 
 def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
-    """Make the body of a geom, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
+    """Make the body of a geom, in the geom's frame; MuJoCo's sizes are radii, half lengths and semi-axes."""
     kind, (x, y, z) = int(model.geom_type[geom]), model.geom_size[geom].tolist()
     if kind == kinds.mjGEOM_SPHERE:
         return Body.sphere(x)
@@ -400,7 +406,10 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
 
 
 def _terrain(model: Any, field: int) -> Body:
-    """Make a height field about its grid's middle; rows run along y, columns along x, and heights from 0 to 1."""
+    """Make a height field whose grid is centered at the origin.
+
+    In MuJoCo's data, rows run along y, columns run along x, and heights are between 0 and 1.
+    """
     rows, columns, first = (int(a[field]) for a in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr))
     half_x, half_y, highest, below = model.hfield_size[field].tolist()
     shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
@@ -416,7 +425,7 @@ def _hull_points(model: Any, mesh: int) -> Floats:
     if graph < 0:
         return vertices
     on_hull = int(model.mesh_graph[graph])
-    start = graph + 2 + on_hull  # after the numbers of vertices and faces, and the positions of each vertex's edges
+    start = graph + 2 + on_hull  # after the numbers of vertices and faces, and the position of each vertex's edges
     used: Ints = model.mesh_graph[start : start + on_hull]
     return vertices[used]
 
@@ -427,7 +436,7 @@ def _hull_points(model: Any, mesh: int) -> Floats:
 def _left_out(
     mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
 ) -> tuple[frozenset[Pair], frozenset[Pair]]:
-    """Find the pairs of parts that MuJoCo skips because their bodies are related, or because the file excludes them.
+    """Find the pairs of parts that MuJoCo skips: parts of related bodies, and pairs that the file excludes.
 
     The section "Collision" of MuJoCo's documentation gives the rules.
     """
@@ -453,7 +462,7 @@ def _left_out(
 
 
 def _related(model: Any, a: int, b: int, parents_meet: bool) -> bool:
-    """Return whether two bodies are rigidly joined, or parent and child; the world does not count as a parent."""
+    """Return whether two bodies are rigidly joined, or are parent and child; the world does not count as a parent."""
     a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
     if a == b:
         return True

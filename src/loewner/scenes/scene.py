@@ -1,8 +1,8 @@
 """Scenes: named bodies in the world or attached to a robot's links, allowed contacts, and margins.
 
-A `Scene` changes between queries: bodies are added, moved, grasped and put down by name. The bodies themselves never
-change, so a change to the scene replaces a few dictionary entries and needs no new fit. A scene has no robot;
-`CollisionChecker` pairs a scene with a robot, and checks the names of links.
+A `Scene` may change between queries: bodies are added, moved, grasped and put down by name. The bodies themselves never
+change, so a change replaces a few dictionary entries and needs no new fit. A scene has no robot; `CollisionChecker`
+combines a scene with a robot, and checks the names of links.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from loewner.queries.pairs import Bounds, Distance, Measured
 from loewner.queries.pose_paths import PoseBounds, PosePath, path_of, with_twist
 from loewner.scenes import maps as _maps
 
-# One name or a pair, where None in place of a name means any link.
+# One name or a pair of names; None in place of a name means any link.
 MarginKey = tuple[str | None, ...]
 
-# This lock is held for microseconds while a scene changes or is copied. All scenes share it, so that copies and pickles
-# contain no lock, and a forked process has only one lock to reset.
+# This lock is held for microseconds while a scene changes or is copied. All scenes share the lock, so that copies and
+# pickles contain no lock, and a fork has to handle only one lock.
 _CHANGING = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
@@ -52,11 +52,11 @@ class Contact:
     name_a, name_b : str
         Names of a scene's bodies or of a robot's links.
     distance : float
-        In metres. A negative distance is minus the depth of the two pieces that overlap most. Since touching counts as
-        colliding, a distance is positive only if the bodies are apart by no more than their margin, or if they touch
-        and rounding makes the computed distance positive.
+        In metres. A negative distance is minus the depth of the two pieces that overlap most deeply. The distance is
+        positive if the bodies are apart by no more than their margin. For bodies that just touch, rounding may make it
+        slightly positive.
     witness_a, witness_b : ndarray, shape (3,)
-        Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
+        Points of a and of b in world coordinates, such that witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
         Unit vector from a to b.
 
@@ -116,7 +116,7 @@ class Attachment(KeepsReadOnly):
     T_link_body : ndarray, shape (4, 4)
         Pose of the body in the frame of the link; translation in metres.
     touch_links : tuple of str
-        Links that the body may touch while it is attached: the given links and the link that carries it, sorted.
+        Links that the body may touch while it is attached, sorted; they include the link that carries the body.
 
     Examples
     --------
@@ -139,17 +139,17 @@ class Scene:
     Parameters
     ----------
     margin : float
-        Distance in metres that every pair with at least one body of the scene has to keep (see `margin_of`).
+        Distance in metres that every pair with at least one body of the scene has to keep; see `margin_of`.
 
     Notes
     -----
     Iterating over a scene yields the names of its bodies, in the order in which they were added. The scene's own
-    queries (`pairs`, `collide`, `distance`) leave out attached bodies, whose poses depend on a robot's configuration.
-    With a time, `pairs` and `collide` include the bodies that follow motions (`follow`); `distance` accepts only static
-    bodies.
+    queries (`pairs`, `collide`, `distance`) do not consider attached bodies, whose poses depend on a robot's
+    configuration. If a time is passed, `pairs` and `collide` also consider bodies that follow motions (`follow`).
+    `distance` accepts only static bodies.
 
     A thread may change a scene while other threads query it: each change is atomic, and each query uses one consistent
-    state. Adding a body that is probably not given in metres causes a warning, once per scene.
+    state. Adding a body that is probably not in metres causes a warning, once per scene.
 
     Examples
     --------
@@ -173,7 +173,7 @@ class Scene:
         self._attachments: dict[str, Attachment] = {}
         self._following: dict[str, PosePath] = {}
         self._bounds: dict[str, PoseBounds] = {}
-        self._off: dict[str, float] = {}  # in a snapshot: how far points of bodies may be off [m]
+        self._off: dict[str, float] = {}  # in a snapshot: how far points of bodies may deviate [m]
         self._allowed: set[Pair] = set()
         self._leaving: set[Pair] = set()
         self._reaching: set[Pair] = set()
@@ -217,7 +217,7 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the static bodies, which neither are attached nor follow a motion, in the order of `names`."""
+        """Names of the static bodies, in the order of `names`; a static body is not attached and follows no motion."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name in self._poses)
 
@@ -236,23 +236,23 @@ class Scene:
         """World poses of the bodies in `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             poses = self._poses  # without bodies that move
-            # The bytes of the poses are joined: NumPy takes twice as long for a list of arrays.
+            # The bytes of the poses are joined, because NumPy takes twice as long for a list of arrays.
             joined = bytearray().join([poses[name] for name in self._bodies if name in poses])
         return np.frombuffer(joined).reshape(-1, 4, 4)
 
     @property
     def attachments(self) -> dict[str, Attachment]:
-        """How each attached body is fixed to the robot, keyed by the name of the body."""
+        """How each attached body is attached to its link, keyed by the name of the body."""
         return _validate.Named("attached body", self._in_order(self._attachments))
 
     @property
     def following(self) -> dict[str, PosePath]:
-        """The motions of the bodies that follow motions, keyed by the names of the bodies."""
+        """The motions that bodies follow, keyed by the names of the bodies."""
         return _validate.Named("body that follows a motion", self._in_order(self._following))
 
     @property
     def bounds(self) -> dict[str, PoseBounds]:
-        """Bounds on how far bodies may be from their poses or motions, keyed by name; other bodies have exact poses."""
+        """Bounds on how far bodies may be from their poses or motions, keyed by name; all other poses are exact."""
         return self._in_order(self._bounds)
 
     def _in_order(self, held: dict[str, Entry]) -> dict[str, Entry]:
@@ -262,12 +262,12 @@ class Scene:
 
     @property
     def version(self) -> int:
-        """A number that grows with every change, so that stale data prepared from the scene can be recognised."""
+        """A number that grows with every change, by which data prepared from an older state can be recognised."""
         return self._version
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except a change of a pose or motion, which leaves other data valid."""
+        """A number that grows with every change except changes of poses and motions."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -291,12 +291,12 @@ class Scene:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return a copy of the scene; later changes to the scene or to the copy do not affect the other.
+        """Return a copy of the scene; later changes to one of the two do not affect the other.
 
         Returns
         -------
         Scene
-            A scene with the same bodies, margins and rules; the bodies themselves are shared, since they never change.
+            A scene with the same bodies, margins and rules; both scenes share the bodies, since these never change.
         """
         other = self.snapshot()
         other._version = other._structure_version = 0
@@ -304,12 +304,14 @@ class Scene:
         return other
 
     def snapshot(self) -> Scene:
-        """Copy the scene and its versions consistently, so that a query is unaffected by changes in other threads.
+        """Copy the scene and its versions in one consistent state.
+
+        Changes in other threads then do not affect a query of the copy.
 
         Returns
         -------
         Scene
-            A copy that shares the arrays that are already packed.
+            A copy, which shares arrays that are already packed.
         """
         other = object.__new__(Scene)
         with _CHANGING:
@@ -323,13 +325,13 @@ class Scene:
     def from_map(
         cls, path: str | os.PathLike[str], *, height: float, unknown: bool = True, margin: float = 0.0
     ) -> Scene:
-        """Make a scene from a map of ROS's map server; its occupied cells become boxes on the plane z = 0.
+        """Make a scene from a map of the ROS map server; the map's occupied cells become boxes on the plane z = 0.
 
         Parameters
         ----------
         path : path
-            The YAML file, which names the image. PNG and BMP images need Pillow (the extra ``plots``); PGM images do
-            not. The mode must be trinary or scale; in mode scale, all cells that are not free count as occupied.
+            The YAML file, which names the image. PNG and BMP images need Pillow (the ``plots`` extra); PGM images do
+            not. The mode must be trinary or scale. In mode scale, all cells that are not free count as occupied.
         height : float
             Height of the boxes, in metres.
         unknown : bool
@@ -340,8 +342,8 @@ class Scene:
         Returns
         -------
         Scene
-            A scene with the body "map", if any cell is occupied. Cells that form a rectangle become one box. The pose
-            of the body is the origin of the map.
+            A scene with the body "map", or without bodies if no cell is occupied. Cells that form a rectangle become
+            one box. The pose of the body is the origin of the map.
 
         Raises
         ------
@@ -351,7 +353,7 @@ class Scene:
         InputError
             If the height is not positive.
         MissingExtraError
-            If PyYAML (the extra ``robots``) or Pillow is missing.
+            If PyYAML (the ``robots`` extra) or Pillow is missing.
         """
         top = _validate.positive_scalar(height, "height")
         counted = _validate.flag(unknown, "unknown")
@@ -381,7 +383,7 @@ class Scene:
         T_world_body : array_like, shape (4, 4), or None
             Pose of the body, with its translation in metres; None is the identity.
         margin : float, optional
-            Distance in metres that this body has to keep if no larger margin applies (see `margin_of`).
+            Distance in metres that this body has to keep, unless a larger margin applies; see `margin_of`.
         error : array_like, shape (2,), optional
             Bounds on the error of the pose, in metres and radians, as for `move`.
 
@@ -396,8 +398,8 @@ class Scene:
         Warns
         -----
         UserWarning
-            Once per scene, if a body is probably not given in metres, because it is kilometres across, kilometres away,
-            or much smaller than a millimetre.
+            Once per scene, if a body is probably not in metres, because it is kilometres across, kilometres away, or
+            much smaller than a millimetre.
         """
         name = expect_name(name)
         _validate.instance(body, f"body of {name!r}", Body)
@@ -416,7 +418,7 @@ class Scene:
             self._doubt(name, body, T)
 
     def _doubt(self, name: str, body: Body, T: Floats) -> None:
-        """Warn once if the body seems not to be in metres."""
+        """Warn, once per scene, if a body is probably not in metres."""
         radius = float(packed_of(body).kernel.table[:, OUTER_RADIUS].max(initial=0.0))
         doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
         if doubt:
@@ -444,7 +446,7 @@ class Scene:
             self._lowered.intersection_update(self._margins)
 
     def replace(self, name: str, body: Body) -> None:
-        """Replace a body with a new one, for instance from the next image of a camera; everything else stays the same.
+        """Replace a body with a new body, for instance from a camera's next image; everything else stays the same.
 
         Parameters
         ----------
@@ -473,7 +475,7 @@ class Scene:
             self._bodies[self._known(name)] = body
             if name in self._bounds:
                 self._bounds[name] = replace(self._bounds[name], reach=reach_of(body))
-            T = self._poses.get(name)  # None for a body on a link
+            T = self._poses.get(name)  # None for a body on a link or with a motion
         if not self._doubted and T is not None:
             self._doubt(name, body, T)
 
@@ -484,21 +486,21 @@ class Scene:
         *,
         error: ArrayLike | None = None,
     ) -> None:
-        """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.
+        """Move one body, ``move(name, T)``, or several bodies, ``move({name: T, ...})``.
 
         Parameters
         ----------
         name : str, or mapping from names to poses
-            The body, or a mapping from several bodies to their poses. If any name or pose of a mapping is wrong, no
-            body is moved.
+            The name of the body, or a mapping from names to poses. If any name or pose of a mapping is wrong, no body
+            is moved.
         T_world_body : array_like, shape (4, 4), or None
             The new pose, with its translation in metres; None is the identity.
         error : array_like, shape (2,), optional
             How far the pose may be wrong, in metres and radians: the body's origin deviates by at most the first
-            number, and its orientation by at most the second. A point at distance ρ from the body's origin then
+            number, and its orientation by at most the second number. A point at distance ρ from the body's origin then
             deviates by at most ``error[0]`` + ρ · ``error[1]``; `bounds` contains the largest ρ. Answers hold for all
-            poses within the error: FREE means free at each such pose. By default the pose is exact, even if the earlier
-            pose was not.
+            poses within the error: FREE means free at each such pose. By default, the new pose is exact, even if the
+            earlier pose was not.
 
         Raises
         ------
@@ -507,10 +509,12 @@ class Scene:
 
         Notes
         -----
-        An error is added to the margins of the body, so a checker prepares its pairs again when the error changes.
-        Moving with an unchanged error is as fast as moving without an error. `collide` is True if the body may collide.
-        COLLIDING means a collision at the given pose; everything else that is not free is AMBIGUOUS. Exact distances
-        apply to the given pose; bounds on distances, and clearances, hold for all poses within the error.
+        With an error, `collide` is True if the body may collide. COLLIDING means a collision at the pose
+        `T_world_body`; everything else that is not free is AMBIGUOUS. Exact distances apply to this pose. Bounds on
+        distances, and clearances, hold for all poses within the error.
+
+        An error is added to the margins of the body, so a checker has to prepare its pairs again whenever the error
+        changes. Moving a body with an unchanged error is as fast as moving it without an error.
 
         Examples
         --------
@@ -546,14 +550,14 @@ class Scene:
             self._bounds[name] = bounds
 
     def move_all(self, names: Iterable[str], Ts: ArrayLike, *, error: ArrayLike | None = None) -> None:
-        """Move many bodies at once, such as objects that a tracker reports; faster than `move` with a mapping.
+        """Move many bodies, such as objects that a tracker reports; this is faster than `move` with a mapping.
 
         Parameters
         ----------
         names : iterable of str
             The bodies, each once.
         Ts : array_like, shape (n, 4, 4)
-            The new pose of each body, with its translation in metres. If any name or pose is wrong, no body is moved.
+            The new poses of the bodies, with translations in metres. If any name or pose is wrong, no body is moved.
         error : array_like, shape (2,), optional
             How far each pose may be wrong, as for `move`.
 
@@ -603,18 +607,18 @@ class Scene:
         since: float | None = None,
         error: ArrayLike | None = None,
     ) -> None:
-        """Let a body follow a motion: a part on a conveyor, a door, or an object whose path a tracker predicts.
+        """Let a body follow a motion, such as a part on a conveyor, a door, or an object whose path a tracker predicts.
 
-        From now on, a `CollisionChecker` needs times for its answers, and proves motions of the robot against the
-        motion of the body. A checker does not check the scene's bodies against each other; `pairs` does.
+        From then on, queries of a `CollisionChecker` need times, and its proofs of the robot's motions take the body's
+        motion into account. A checker does not check the scene's bodies against each other; `pairs` does.
 
         Parameters
         ----------
         name : str
             A body of the scene. If the body already follows a motion, the new motion replaces the old one.
         times : array_like, shape (n,)
-            At least two increasing times, in seconds. One time suffices for a body at rest if `speed`, `turn` or
-            `error` is given.
+            At least two increasing times, in seconds; or one time, for a body at rest with a `speed`, `turn` or
+            `error`.
         poses : array_like, shape (n, 4, 4)
             T_world_body at these times; translation in metres. Between two times, the position changes linearly, and
             the body turns at a constant rate through the smaller angle.
@@ -622,25 +626,27 @@ class Scene:
             Whether the motion starts again when it ends; the last pose must then equal the first one. By default, the
             body waits at the first pose before the motion, and at the last pose after the motion.
         twist : array_like, shape (6,), optional
-            Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame and constant
-            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line
-            while the body turns about the origin; this is not a screw motion about another axis.
+            Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame, and constant
+            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line,
+            and the body turns about its origin, so the motion is not a screw motion about another axis.
         speed, turn : float
             Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At time t,
             the body's origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
             since\\|. A point at distance ρ from the origin then deviates by at most (speed + ρ · turn) · \\|t -
-            since\\|. `bounds` contains the largest ρ, which is smallest if the frame is in the middle of the body.
+            since\\|. `bounds` contains the largest ρ. For tight bounds, put the origin of the body's frame in the
+            middle of the body.
         since : float, optional
-            Time in seconds at which the body was seen; the default is the first of `times`.
+            Time in seconds at which the body was last seen; the default is the first of `times`.
         error : array_like, shape (2,), optional
-            Additional bounds on the error at the time `since`, in metres and radians; see `move`.
+            Bounds on the error at the time `since`, in metres and radians, which add to the deviations above; see
+            `move`.
 
         Notes
         -----
-        If `speed`, `turn` or `error` is given, answers hold for all motions within these bounds: FREE means free on
-        each such motion, and `collide` is True if the body may collide. COLLIDING means a collision with the body on
-        its given motion; everything else that is not free is AMBIGUOUS. Distances and their bounds apply to the given
-        motion alone. Calling `follow` again without these arguments removes the bounds.
+        With `speed`, `turn` or `error`, answers hold for all motions within these bounds: FREE means free on each such
+        motion, and `collide` is True if the body may collide. COLLIDING means a collision with the body on the motion
+        itself; everything else that is not free is AMBIGUOUS. Distances and their bounds apply only to the motion
+        itself. Calling `follow` again without these arguments removes the bounds.
 
         Raises
         ------
@@ -668,7 +674,7 @@ class Scene:
         ((), [-0.5, 0.0, 0.0])
         >>> scene.follow("box", [0.0, 10.0], T[0], twist=[0.2, 0.0, 0.0, 0.0, 0.0, 1.0])  # the same, and it turns
 
-        A person who was seen at the origin at 2 s, and has since walked in an unknown direction:
+        A person was last seen at the origin at 2 s, and has since walked in an unknown direction:
 
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2))
         >>> scene.follow("person", [2.0], np.eye(4)[None], speed=1.6)
@@ -710,13 +716,13 @@ class Scene:
         leave: Iterable[str] = (),
         reach: Iterable[str] = (),
     ) -> None:
-        """Attach a body, such as a grasped object, to a link, so that the body moves with the link.
+        """Attach a body, such as a grasped object, to a link, with which the body then moves.
 
         Parameters
         ----------
         name : str
-            A body of the scene. A body that is already attached to a link is handed over to the new link. A body that
-            follows a motion stops following it. Bounds on the body's pose are dropped.
+            A body of the scene. If the body is already attached to a link, it is handed over to the new link. If it
+            follows a motion, it stops following the motion. Bounds on its pose are dropped.
         link : str
             Name of a link, which is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
@@ -724,21 +730,21 @@ class Scene:
         touch_links : iterable of str
             Links that the body may touch while it is attached, in addition to `link` itself.
         leave : iterable of str
-            Bodies or links that the body touches now and must leave, such as the table below it (see `leave`).
+            Bodies or links that the body touches now and must leave, such as the table below it; see `leave`.
         reach : iterable of str
-            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed (see
-            `reach`).
+            Bodies or links that the body may touch at the end of a motion, such as the shelf on which it is placed; see
+            `reach`.
 
         Warns
         -----
         UserWarning
-            If `allow` still permits contact between this body and another body or link; proofs of motions then ignore
-            that pair.
+            If `allow` permits contact between this body and another body or link, since proofs of motions ignore that
+            pair.
 
         Notes
         -----
-        Earlier rules of `leave` and `reach` that name the body end when it is attached; the new rules end when it is
-        detached.
+        Attaching a body ends earlier rules of `leave` and `reach` that name the body. Detaching the body ends the new
+        rules.
 
         Examples
         --------
@@ -777,13 +783,13 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            The new pose in the world, with translation in metres; None is the identity. For a body released in place,
-            this is the link's pose times `T_link_body`.
+            The new pose in the world, with its translation in metres; None is the identity. To release a body in place,
+            pass the link's pose times `T_link_body`.
 
         Raises
         ------
         InputError
-            If the body neither is attached nor follows a motion.
+            If the body is neither attached nor following a motion.
         """
         T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
         with self._change():
@@ -801,7 +807,7 @@ class Scene:
             return frozenset(self._allowed)
 
     def allow(self, a: str, b: str) -> None:
-        """Allow two bodies or links to touch; from now on, queries ignore contact between the two.
+        """Allow two bodies or links to touch; from then on, queries ignore contact between the two.
 
         Parameters
         ----------
@@ -821,7 +827,7 @@ class Scene:
         Raises
         ------
         UnknownNameError
-            If the pair was not allowed; without this error, a misspelt name would silently leave a pair allowed.
+            If the pair was not allowed. Without this error, a misspelt name would silently leave a pair allowed.
         """
         pair = _pair(a, b)
         with self._change():
@@ -831,7 +837,7 @@ class Scene:
 
     @property
     def leaving(self) -> frozenset[Pair]:
-        """Pairs whose contact at the start of a motion must end, each sorted by name; see `leave`."""
+        """Pairs that may be in contact at the start of a motion and must separate, each sorted by name; see `leave`."""
         with _CHANGING:
             return frozenset(self._leaving)
 
@@ -842,13 +848,13 @@ class Scene:
             return frozenset(self._reaching)
 
     def leave(self, a: str, b: str) -> None:
-        """Let two bodies that touch at the start of a motion separate; the contact may not deepen.
+        """Let two bodies be in contact at the start of a motion, if they then separate without deepening the contact.
 
         Parameters
         ----------
         a, b : str
-            Names of bodies or links, made of convex pieces: a can and the table below it, or a finger and the can that
-            it released.
+            Names of bodies or links, made of convex pieces: for instance a can and the table below it, or a finger and
+            the can that it has released.
 
         See Also
         --------
@@ -858,15 +864,17 @@ class Scene:
         Notes
         -----
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
-        `CollisionChecker.certify_trajectory`). A motion or curve that starts with the two bodies in contact, or within
-        their margin, is FREE if two conditions are proven. On a first stretch of the motion, the contact does not
-        worsen by more than the tolerance of the proof. That is, no two pieces penetrate each other deeper than at the
-        start or, within the margin, come nearer. On the rest of the motion, the bodies keep their margin. The bodies
-        have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the first stretch
-        ends before they come near again. To find this end, the distance of the bodies is measured at several places
+        `CollisionChecker.certify_trajectory`). Suppose that a motion or curve starts with the two bodies in contact, or
+        within their margin. It is FREE if two conditions are proven. First, on an initial stretch, the contact does not
+        worsen by more than the tolerance of the proof: no two pieces penetrate each other deeper than at the start or,
+        within the margin, come nearer. Second, on the rest of the motion, the bodies keep their margin.
+
+        The bodies have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the
+        initial stretch ends before they come near again. To find this end, distances are measured at several places
         along the motion, chosen according to how far the bodies move in between. The end of the contact is therefore
-        not proven: contact might end and begin again between two places, but no deeper than at the start. The rule
-        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
+        not proven: contact might end and begin again between two places, but no deeper than at the start.
+
+        The rule takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two bodies is attached, detached or removed.
 
@@ -880,10 +888,10 @@ class Scene:
         self._add_rule(self._leaving, _pair(a, b))
 
     def reach(self, a: str, b: str) -> None:
-        """Let two bodies come into contact at the end of a motion; `leave` lets them separate at the start.
+        """Let two bodies come into contact at the end of a motion.
 
-        At the end of the motion or curve, the bodies may touch or be within their margin, and may overlap by no more
-        than the tolerance of the proof. Before the end, they penetrate each other no deeper than at the end, up to the
+        At the end of the motion or curve, the bodies may touch or be within their margin; they may overlap by no more
+        than the tolerance of the proof. Before the end, the contact must be no deeper than at the end, up to the
         tolerance.
 
         Parameters
@@ -909,7 +917,7 @@ class Scene:
             rules.add(pair)
 
     def _let_go(self, name: str) -> None:
-        """Drop the pose or motion of a body, and its rules of `leave` and `reach`, since its contacts change."""
+        """Drop the pose or motion of a body, and its rules of `leave` and `reach`, because its contacts will change."""
         places: tuple[dict[str, Any], ...] = (self._poses, self._attachments, self._following, self._bounds)
         for held in places:
             held.pop(name, None)
@@ -926,7 +934,7 @@ class Scene:
         """All margins except the scene's own, keyed by names.
 
         The margin of a body or link has the key ``(name,)``, or ``(name, None)`` if it applies only against links. The
-        key of a pair's margin is the sorted names ``(a, b)``; the key of the margin between links is ``(None, None)``.
+        margin of a pair has the sorted names ``(a, b)`` as its key, and the margin between links has ``(None, None)``.
         """
         with _CHANGING:
             return dict(self._margins)
@@ -948,19 +956,19 @@ class Scene:
     ) -> None:
         """Set the margin of a pair, of one body or link, of the whole scene, or of all pairs of links.
 
-        The new margin replaces an earlier margin for the same names, but never reduces a larger margin that applies to
-        a pair for other reasons, unless `lower` is set (see `margin_of`).
+        The new margin replaces an earlier margin for the same names. If a larger margin applies to a pair for another
+        reason, the larger margin holds, unless `lower` is true; see `margin_of`.
 
         Parameters
         ----------
         margin : float or None
             Margin in metres; None removes the margin of the pair, body or link.
         a, b : str, optional
-            Names of bodies or links. Give both for the margin of a pair, only `a` for one body or link, and neither for
-            the scene's margin.
+            Names of bodies or links: both for the margin of a pair, only `a` for one body or link, and neither for the
+            scene's margin.
         against : "links", optional
-            Apply the margin only against links. With `a`, the margin applies between `a` and all links; without `a`, it
-            applies to all pairs of links, to which the scene's margin does not apply.
+            Apply the margin only against links: with `a`, between `a` and all links; without `a`, to all pairs of
+            links. (The scene's margin does not apply to pairs of links.)
         lower : bool
             Whether this margin overrides more general margins, so that two bodies may come closer together.
 
@@ -997,12 +1005,12 @@ class Scene:
                     self._lowered.add(key)
 
     def widen(self, least: float) -> None:
-        """Raise the margins of all pairs with a body of this scene to at least `least`, but no margin between links.
+        """Raise the margins of all pairs with a body of this scene to at least `least`, but no margins between links.
 
         Parameters
         ----------
         least : float
-            Least margin in metres, which also applies to the scene's own margin. Larger margins do not change.
+            Least margin in metres. The scene's own margin is raised to it as well; larger margins do not change.
 
         Raises
         ------
@@ -1021,11 +1029,11 @@ class Scene:
         least = _validate.positive_scalar(least, "least", zero=True)
         with self._change():
             self._margin = max(least, self._margin)
-            # All pairs with bodies now keep this margin, except pairs with lowered margins.
+            # All pairs with bodies now keep this margin, except pairs with lowered margins, which are raised below.
             for key in [key for key in self._lowered if self._margins[key] < least]:
                 if any(name in self._bodies for name in key):
                     self._margins[key] = least
-                elif len(key) == 1:  # a link's margin applies against other links as well
+                elif len(key) == 1:  # a link's margin also applies against other links, so it stays
                     for body in self._bodies:
                         pair = _pair(body, key[0])
                         self._margins[pair] = max(least, self._margins.get(pair, 0.0))
@@ -1034,9 +1042,9 @@ class Scene:
         """Return the margin between two bodies or links, in metres: the largest margin that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
-        applies to every pair of links. In addition, the margin of each body or link and the margin of the pair apply.
-        Only a margin set with ``lower=True`` overrides more general margins: a body's or link's margin overrides the
-        scene's and the links' margin, and the pair's margin overrides all others.
+        applies to every pair of links. In addition, the margin of each body or link and the margin of the pair apply. A
+        margin that was set with ``lower=True`` overrides more general margins, even if these are larger: the margin of
+        a body or link overrides the scene's and the links' margin, and the margin of a pair overrides all others.
 
         Parameters
         ----------
@@ -1072,7 +1080,7 @@ class Scene:
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self, time: float | None = None) -> tuple[Contact, ...]:
-        """List all pairs of bodies in the world that touch, overlap or come within their margin, except allowed pairs.
+        """List all pairs of bodies in the world that touch, overlap or come within their margin, without allowed pairs.
 
         Parameters
         ----------
@@ -1082,8 +1090,8 @@ class Scene:
         Returns
         -------
         tuple of Contact
-            Each pair once, in the order in which the bodies were added. Pairs that are not listed are allowed or proven
-            free. Attached bodies are left out: a `CollisionChecker` checks them.
+            Each pair once, in the order in which the bodies were added. All other pairs are allowed or proven free.
+            Attached bodies are left out; a `CollisionChecker` checks them.
 
         Raises
         ------
@@ -1099,7 +1107,7 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), distances)
 
     def collide(self, time: float | None = None) -> bool:
-        """Decide whether any pair of bodies in the world collides, except allowed pairs; `pairs` lists the pairs.
+        """Decide whether any two bodies in the world collide, ignoring allowed pairs; `pairs` lists the collisions.
 
         Parameters
         ----------
@@ -1138,8 +1146,8 @@ class Scene:
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
         """Compute the signed distance between two named bodies in the world; margins and allowed pairs are ignored.
 
-        See `loewner.distance`. The bounds hold for all poses within the errors of the bodies' poses; the exact distance
-        is the one at the given poses.
+        See `loewner.distance`. The bounds hold for all poses within the errors of the bodies' poses. The exact distance
+        applies to the poses themselves.
 
         Parameters
         ----------
@@ -1171,7 +1179,10 @@ class Scene:
         return replace(distance, lower=float(lower), upper=float(upper))
 
     def _standing_at(self, time: float | None) -> Scene:
-        """Return a snapshot with packed bodies, and keep the packing for the next snapshot if no body moves."""
+        """Return a snapshot with packed bodies.
+
+        If no body moves, the packed bodies are kept for the next snapshot.
+        """
         now, t = self.snapshot(), 0.0 if time is None else _validate.real(time, "time")
         moving = now.following
         if moving and time is None:
@@ -1188,8 +1199,8 @@ class Scene:
     def _meeting(self) -> Ints:
         """Find the colliding pairs of bodies in the world, as indices into `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
-        # The broad phase uses the largest margin for all pairs, so that it misses no pair. Surplus pairs are dropped
-        # below.
+        # The broad phase uses the largest margin for all pairs, so that it misses no pair. Pairs outside their own
+        # margin are dropped below.
         off = self._off
         widest = max([self._margin, *self._margins.values()]) + sum(sorted(off.values())[-2:])
         pairs = crowds.overlapping_pairs(bodies, poses, margin=widest)
@@ -1211,7 +1222,7 @@ class Scene:
 
     @contextmanager
     def _change(self) -> Iterator[None]:
-        """Keep other threads out of a block that changes the structure, and count the change unless the block fails."""
+        """Keep other threads out while a block changes the structure; increase both versions unless the block fails."""
         with _CHANGING:
             yield
             # The structure's version changes first, so that a thread that reads the new version also finds the new
@@ -1240,7 +1251,7 @@ class Scene:
 
 
 def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseBounds]]:
-    """Return the parts of a scene that can change while its structure stays the same: poses, motions and bounds.
+    """Return the parts of a scene that may change while its structure version stays the same.
 
     Returns
     -------
@@ -1260,7 +1271,7 @@ def in_world(scene: Scene) -> tuple[Floats, dict[str, PosePath], dict[str, PoseB
 def poses_since(
     scene: Scene, structure_version: int
 ) -> tuple[Floats, tuple[PosePath, ...], dict[str, PoseBounds], int] | None:
-    """Return the results of `in_world` and the scene's version, or None if the scene has another structure version."""
+    """Return the results of `in_world` and the scene's version; None if the scene has another structure version."""
     with _CHANGING:
         if scene.structure_version != structure_version:
             return None
@@ -1271,7 +1282,7 @@ def poses_since(
 
 
 def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[tuple[str, str]], str]:
-    """Return shapes, the colours of a few bodies by name, and a note; `held` contains the poses of attached bodies."""
+    """Return shapes, names of bodies with their colours, and a note; `held` contains the poses of attached bodies."""
     scene = scene.snapshot()
     poses = scene._poses | {name: path.poses(path.times[0]) for name, path in scene._following.items()} | dict(held)
     names = [name for name in scene if name in poses][:MOST_BODIES]
@@ -1288,12 +1299,12 @@ def drawn(scene: Scene, held: Mapping[str, Floats]) -> tuple[list[Shape], list[t
 def _bounds_of(
     body: Body, error: tuple[float, float], rates: tuple[float, float] = (0.0, 0.0), since: float = 0.0
 ) -> PoseBounds | None:
-    """Make the bounds on a body's pose; None if it is exact."""
+    """Make the bounds on a body's pose; None if the pose is exact."""
     return PoseBounds(*error, *rates, since, reach_of(body)) if any((*error, *rates)) else None
 
 
 def _rest(times: ArrayLike, poses: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
-    """Let a body with a single time and pose rest there."""
+    """If there is a single time with a pose, add a later time with the same pose."""
     at = _validate.finite_array(times, "times", (None,))
     T = _validate.poses(poses, "poses")
     if len(at) != 1 or T.shape not in ((4, 4), (1, 4, 4)):

@@ -1,4 +1,4 @@
-"""Convert MuJoCo models to scenes of static bodies at their poses in the model."""
+"""Convert MuJoCo models to scenes of static bodies."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def mjcf_scene(file: Path) -> Scene:
-    """Make a scene of all colliding geoms, with joints at their references; pairs that MuJoCo skips are allowed."""
+    """Make a scene of all colliding geoms, with joints at their references; allow the pairs that MuJoCo skips."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
         for name, part in body.parts.items():

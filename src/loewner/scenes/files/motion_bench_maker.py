@@ -23,8 +23,8 @@ from loewner.scenes.scene import Scene
 # Largest size of a file that is read [bytes].
 MOST_BYTES = 2**28
 
-# Largest difference between any entries of two rotation matrices, one from a quaternion and one from angles; files have
-# few digits.
+# If an obstacle has both a quaternion and angles, the entries of the two rotation matrices may differ by this much,
+# because numbers in files have few digits.
 SAME_ROTATION = 1e-2
 
 TOP_KEYS = ("robot", "joints", "problems")
@@ -44,7 +44,7 @@ class Problem:
     group : str
         The family of the problem, such as "bookshelf_thin".
     index : int
-        Number of the problem within its family, as in the file.
+        Index of the problem within its family, as in the file.
     robot : str
         Name of the robot.
     joint_names : tuple of str
@@ -52,12 +52,11 @@ class Problem:
     start : ndarray, shape (dof,)
         Start configuration, in radians or metres.
     goals : ndarray, shape (k, dof)
-        Goal configurations; reaching any of them is enough.
+        Goal configurations; a solution has to reach any one of them.
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        Whether the problem is valid according to the file; None if the file has no such entry. The entry is not
-        checked.
+        Whether the file calls the problem valid; None if the file has no such entry. The entry is not checked.
 
     Examples
     --------
@@ -88,7 +87,7 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Returns
     -------
     tuple of Problem
-        The problems, in the order of the file. Obstacles of equal sizes share one `Body`.
+        The problems, in the order of the file. Obstacles of the same kind and size share one `Body`.
 
     Raises
     ------

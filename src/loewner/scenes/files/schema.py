@@ -1,4 +1,4 @@
-"""The JSON Schema of scene files, which editors use and from which the reader takes its keys."""
+"""The JSON Schema of scene files; editors use it, and the reader takes its keys from it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Keys = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def keys_of(place: str) -> Keys:
-    """Return the allowed keys and the required keys of a mapping in a body's entry."""
+    """Return the allowed keys and the required keys of the mapping `place` in a body's entry."""
     return keys_in(BODY["properties"][place])
 
 
 def keys_in(rule: dict[str, Any]) -> Keys:
-    """Return the allowed keys and the required keys that a rule of the schema gives for a mapping."""
+    """Return the allowed keys and the required keys of a mapping according to a rule of the schema."""
     return tuple(rule["properties"]), tuple(rule.get("required", ()))

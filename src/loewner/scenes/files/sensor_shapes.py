@@ -1,4 +1,4 @@
-"""Read the shapes of scene files for sensor data: point clouds, voxels, terrain, and unions of balls and boxes."""
+"""Read the shapes in scene files that represent sensor data: point clouds, voxels, terrain, balls and boxes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from loewner.bodies import Body
 from loewner.errors import FileError
 from loewner.scenes.files.schema import keys_of
 
-# Largest size of a file of numbers in bytes, enough for a cloud of ten million points as text.
+# Largest size of a file of numbers in bytes; a cloud of ten million points in text is smaller.
 MOST_BYTES = 2**29
 
 Recipe = tuple[Any, Callable[[], Body]]
@@ -79,14 +79,14 @@ SENSOR_SHAPES: dict[str, Callable[[Node], Recipe]] = {
 
 
 def file_of(entry: Node) -> Path:
-    """Return the path of a file that is given relative to the scene's file."""
+    """Return the path of a file whose name is relative to the scene's file."""
     name = entry.text()
     with entry.blamed():
         return entry.file.parent / _validate.path(name, "file")
 
 
 def read_array(path: Path) -> Any:
-    """Read numbers from a NumPy array (`.npy`, never a pickle) or from lines of text (`.xyz`, `.txt`, `.csv`).
+    """Read numbers from a NumPy file (`.npy`, never a pickle) or from lines of text (`.xyz`, `.txt`, `.csv`).
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def read_array(path: Path) -> Any:
     Raises
     ------
     FileError
-        If the file is missing, too large or of the wrong kind, or if a number in it is missing.
+        If the file is missing, too large or of the wrong kind, or if it lacks a number.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".xyz", ".txt", ".csv"):
@@ -111,7 +111,7 @@ def read_array(path: Path) -> Any:
 
 
 def _doubts(comments: str) -> Iterator[str]:
-    """Yield reasons why numbers may be in another unit or order, judging by comments, which are otherwise ignored."""
+    """Yield reasons to doubt the unit or the order of the numbers, judging by comments, which are otherwise ignored."""
     if doubt := doubt_about_unit(comments):
         yield doubt
     for line in comments.splitlines():

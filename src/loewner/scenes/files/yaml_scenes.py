@@ -33,20 +33,20 @@ Maker = Callable[..., Body]
 # Largest size of a file [bytes].
 MOST_BYTES = 2**24
 
-# Largest number of letters of a body's name that its file's name contains.
+# The name of a body's file contains at most this many letters of the body's name.
 LONGEST_NAME = 100
 
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 POSE_HINT = "a pose is a 4x4 matrix, in four rows of four; position with rpy or quaternion_wxyz may replace it"
 SURFACE_KEYS = ("radius", "solid")
 
-# Keys that are allowed only next to the shape mesh or saved.
+# Keys that are allowed only next to the shape `mesh` or `saved`.
 KEYS_OF_SHAPES = {"mesh": ("scale", "decompose", "model", *SURFACE_KEYS), "saved": ("sha256",)}
 MODELS = tuple(BODY["properties"]["model"]["enum"])
 SHAPES = tuple(rule["required"][0] for rule in BODY["oneOf"])
 BODY_KEYS = tuple(key for key in BODY["properties"] if key not in {*SHAPES, *sum(KEYS_OF_SHAPES.values(), ())})
 
-# Shapes given by lengths along the axes, and shapes given by named lengths.
+# Shapes whose sizes are lengths along the axes, and shapes whose sizes are named lengths.
 AXIS_SHAPES: dict[str, Maker] = {"box": Body.box} | {
     kind.name: getattr(Body, kind.name) for kind in CURVED.values() if not kind.size_names
 }
@@ -62,9 +62,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     path : path
-        Paths in the file are relative to its folder. A file with the extension ``.xml`` or ``.mjcf`` is read as a
-        MuJoCo model: the scene contains all colliding geoms of the model, with its joints at their reference positions.
-        Use `Robot.from_mjcf` for parts that move.
+        Paths in the file are relative to the file's folder. A file with the extension ``.xml`` or ``.mjcf`` is read as
+        a MuJoCo model: the scene contains all colliding geoms of the model, with its joints at their reference
+        positions. Use `Robot.from_mjcf` for parts that move.
 
     Returns
     -------
@@ -75,8 +75,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     FileError
         If the file, or a file that it names, is missing or malformed. The message gives the line and the key.
     MissingExtraError
-        If PyYAML is not installed; if MuJoCo is not installed and the file is a model; or if a package that a mesh
-        needs is not installed.
+        If a required package is not installed: PyYAML, MuJoCo for a model, or a package that a mesh needs.
     InputError, GeometryError
         As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
@@ -136,19 +135,20 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 
 @guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
-    """Write a scene to YAML, so that `load_scene` returns a scene with the same verdicts.
+    """Write a scene to YAML; `load_scene` then returns a scene with the same verdicts.
 
-    For boxes, spheres, cylinders, capsules, cones and ellipsoids, the sizes are written. Any other body is saved next
-    to the file, as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
-    SHA-256 of each saved body; DIGEST is the beginning of this SHA-256. The reader refuses a body with another SHA-256.
+    For a box, sphere, cylinder, capsule, cone or ellipsoid, the file contains the sizes. Any other body is saved next
+    to the file as ``STEM-NAME-DIGEST.npz``; a body that several names share is saved once. The scene file contains the
+    SHA-256 of each saved body, and the reader refuses a body with another SHA-256. DIGEST is the beginning of the
+    SHA-256.
 
     Parameters
     ----------
     scene : Scene
-        The scene as it is at one instant, even if other threads change it at the same time.
+        The scene. Other threads may change it during the call; its state at one instant is written.
     path : path
-        The files of the bodies are written first; then this file is written under a temporary name and renamed. Files
-        of an older scene are neither changed nor removed, except for a file with the same path.
+        The files of the bodies are written first; then this file is written under a temporary name and renamed. An
+        older file is replaced only if it has the same path.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     file = _validate.path(path, "path")
     document, saved = _document(scene.snapshot(), file)
     # YAML reads U+0085 as a space or a line end, unless it is escaped.
-    readable = "\\x85" not in repr(document)  # in names of bodies and links
+    readable = "\\x85" not in repr(document)  # such characters can occur in names of bodies and links
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=readable, width=120)
     data, count = text.encode(), _entries(document)
     if len(data) > MOST_BYTES or count > MOST_ENTRIES:
@@ -184,9 +184,9 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 
 
 def _document(scene: Scene, file: Path) -> tuple[dict[str, Any], dict[str, Body]]:
-    """Make the contents of the file for a scene, and the bodies that YAML cannot express, keyed by file name.
+    """Make the contents of the file for a scene; also return the bodies that YAML cannot express, keyed by file name.
 
-    No other thread may change the scene.
+    No other thread may change the scene during the call.
     """
     saved: dict[int, dict[str, str]] = {}
     files: dict[str, Body] = {}
@@ -237,7 +237,7 @@ def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dic
 
 
 def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> None:
-    """Add one body of a file to the scene; `made` keeps the bodies made so far, keyed by recipe."""
+    """Add one body of a file to the scene; `made` holds the bodies made so far, keyed by recipe."""
     keys = entry.mapping(None)
     shapes = [key for key in keys if key in SHAPES]
     if len(shapes) != 1:
@@ -339,7 +339,7 @@ def _digest(entry: YamlNode) -> str:
 
 
 def _model(keys: dict[str, YamlNode]) -> str:
-    """Return the model of a mesh that the keys select, after checking keys that apply only to surfaces."""
+    """Return the model that the keys select for a mesh; refuse keys of surfaces for other models."""
     if "decompose" in keys and "model" in keys:
         raise keys["model"].error("expected either model or decompose, found both")
     model = "pieces" if "decompose" not in keys or keys["decompose"].flag() else "hull"
@@ -359,7 +359,7 @@ def _scale(entry: YamlNode) -> list[float]:
 
 
 def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
-    """Read the pose of a body; parts that are not given are the identity."""
+    """Read the pose of a body; a missing position or rotation is the identity."""
     present_keys = [key for key in POSE_KEYS if key in keys]
     if "pose" in present_keys and len(present_keys) > 1:
         raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(present_keys)}")
@@ -398,7 +398,7 @@ def _primitive_of(body: Body) -> dict[str, Any] | None:
         return None
     if number == columns.POLYTOPE:
         shape, sizes = "box", (2 * packed_of(body).points.max(axis=0)).tolist()
-    else:  # given by the radius of a ball and the axes of the unit shape's image, unrounded
+    else:  # the sizes follow, unrounded, from the ball's radius and the axes of the unit shape's image
         kind, frame = CURVED[number], packed_of(body).frames[0]
         shape, sizes = kind.name, list(kind.sizes(float(frame[0]), frame[4::4].tolist()))
     if not min(sizes) > 0:
@@ -415,9 +415,11 @@ def _same(a: Body, b: Body) -> bool:
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:
-    """Express pose and attachment without rounding: a pure translation as a position, any other pose as a matrix.
+    """Express pose and attachment, or motion, without rounding.
 
-    Quaternions of a motion are written to the last digit; they are normalised when they are read.
+    A pure translation is written as a position, and any other pose as a matrix.
+
+    Quaternions of a motion are written to the last digit, and are normalised when they are read.
     """
     bounds = scene.bounds.get(name) or PoseBounds(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     error = {"error": [bounds.metres, bounds.radians]} if bounds.metres or bounds.radians else {}
