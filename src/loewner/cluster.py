@@ -162,8 +162,8 @@ def fit(
 
     A mesh is skipped if its body and its record exist, if the body has not changed since it was written, and if the
     record has the checksum of the mesh file, the same options and the same version of loewner. If a call was
-    interrupted, or its workers died, the same call therefore continues where the first call stopped. A glTF file that
-    refers to other files is always fitted again.
+    interrupted, or its workers died, repeating the call therefore continues where it stopped. A glTF file that refers
+    to other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
     with the worker. If four workers die while fitting the same file, the file counts as failed, since it may need more
@@ -259,7 +259,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> Outcome:
-    """Make the body of a mesh unless the body exists: the task of a worker. Errors about the file are returned."""
+    """Make the body of a mesh unless it exists; this is a worker's task, which returns errors about the file."""
     with at_most(1):
         return outcome_of(Path(mesh), lambda: _body_of(Path(mesh), Path(target), options, run))
 

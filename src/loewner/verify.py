@@ -40,9 +40,9 @@ BITS, ONE = 72, 1 << 72  # lengths, sines and entries of matrices are multiples 
 GUARD = BITS + 24  # angles and the series of their sines are multiples of 2^-GUARD
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D >> 189 - GUARD
 TURN, DEEPEST = 64, 64  # error of a rotation for each link of its chain (derived: 41); the deepest nesting of a tree
-MOST_LINKS, MOST_BYTES, MOST_DEGREE, MOST_STILL = 1000, 1 << 24, 31, 100  # the last: links with a common point
-MOST_SIDES = 8  # of a box of values; each plane is checked at all corners of the box
-MOST_WORK = 1 << 30  # products of a point and a normal, and other steps of a third of a microsecond
+MOST_LINKS, MOST_BYTES, MOST_DEGREE, MOST_STILL = 1000, 1 << 24, 31, 100  # MOST_STILL: links of a common point's model
+MOST_SIDES = 8  # most sides of a box of values; each plane is checked at all corners of the box
+MOST_WORK = 1 << 30  # steps, such as the product of a point and a normal; a step takes a third of a microsecond
 Whole = tuple[int, ...]  # vectors have 3 entries, matrices 9, by rows
 Pair = tuple[int, int]
 Names = tuple[str, str]
@@ -51,7 +51,7 @@ Contact = tuple[str, str, int, Fraction, Fraction, float]
 Range = tuple[str, float, float, bool]
 Pose = tuple[Whole, Whole]
 Stretch = tuple[str, str, tuple[int, Fraction], tuple[int, Fraction], float]
-Part = tuple[int, int, list[Whole], Whole]  # of a piece: kind, radius, points or a center, and matrix of kinds 1 to 3
+Part = tuple[int, int, list[Whole], Whole]  # kind, radius, points or a center, and matrix of kinds 1 to 3
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))
 EVERY = [(i, k) for i in range(3) for k in range(3)]
 STILL: Pose = (ONE, 0, 0, 0, ONE, 0, 0, 0, ONE), (0, 0, 0)
@@ -180,7 +180,7 @@ def _vector(numbers: Iterable[float | Fraction]) -> Whole:
     return tuple(map(_down, numbers))
 
 
-def _whole(numbers: Sequence[float]) -> Whole:  # times a power of two that makes them all integers
+def _whole(numbers: Sequence[float]) -> Whole:  # multiplied by a power of two that makes all of them integers
     ratios = [x.as_integer_ratio() for x in numbers]
     return tuple(n * (max(d for _, d in ratios) // d) for n, d in ratios)
 
@@ -243,7 +243,7 @@ class _Reader:
             raise Refused(f"The {self.part} cannot have {number} {what} at byte {self.at - 4}.")
         return number
 
-    def doubles(self, number: int, what: str = "") -> list[float]:  # finite, not huge, not negative if they have a name
+    def doubles(self, number: int, what: str = "") -> list[float]:  # checked: finite, not huge, not negative if named
         start, doubles = self.at, self.take(f"{number}d")
         for k, x in enumerate(doubles):
             if not (abs(x) < 2**32 and (x >= 0 or not what)):
@@ -740,7 +740,7 @@ class _Checker:
             slides += -(-norm * motion.rates[k][3] >> BITS) if kind == 2 else 0
         return joints[::-1]
 
-    def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # A and V of a body seen from a link
+    def bound(self, motion: _Motion, below: int, high: int) -> Pair:  # the bounds A and V for a body seen from a link
         key = (below, high)
         if key not in motion.bounds:
             before, a, v = 0, 0, 0

@@ -54,9 +54,9 @@ class Piece(_validate.Brief, KeepsReadOnly):
         Indices into `vertices`. The triangles of a polytope's surface are counter-clockwise when seen from outside; the
         triangles of a surface are oriented as in the mesh.
     inner, outer : Ellipsoids
-        The largest ellipsoid inside the piece, and the smallest ellipsoid around it. The inner ellipsoid of a surface
-        is smaller than the largest possible. For an open surface without a radius, the inner ellipsoid is a point: its
-        semi-axes are zero.
+        The largest ellipsoid inside the piece, and the smallest ellipsoid around it. For a surface, the inner ellipsoid
+        is not the largest possible. For an open surface without a radius, the inner ellipsoid is a point: its semi-axes
+        are zero.
     inner_gap, outer_gap : float
         Certified bounds on how far the log-volume of each ellipsoid is from the optimum. The inner ellipsoid of a
         surface has no such bound; its `inner_gap` is 0.
@@ -82,7 +82,7 @@ class Piece(_validate.Brief, KeepsReadOnly):
 
 
 class _Unmade:
-    """Placeholder for the arrays of a body whose constructor was skipped, until the arrays are set."""
+    """Stand-in for the arrays of a body until its constructor sets them; using it raises an error."""
 
     def __get__(self, body: Any, kind: type) -> Any:
         if body is None:
@@ -314,7 +314,7 @@ class Body(_Bodies):
 
         See Also
         --------
-        loewner.meshes.convex_pieces : Make only the pieces; its documentation describes the method.
+        loewner.meshes.convex_pieces : The decomposition alone, with a description of the method.
 
         Examples
         --------
@@ -549,8 +549,8 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or
-            unless exactly one of `radius` and `voxel` is given.
+            If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or if
+            not exactly one of `radius` and `voxel` is given.
         GeometryError
             If there are no points.
 
@@ -982,7 +982,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            Unless exactly one of `n` and ``protrusion`` is given; or if `n` is less than 1, or ``protrusion`` is less
+            If not exactly one of `n` and ``protrusion`` is given, if `n` is less than 1, or if ``protrusion`` is less
             than 1e-4 of the body's diagonal.
         GeometryError
             If the search finds no elements within the given limit.
@@ -1010,7 +1010,7 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         name: str = "body",
     ) -> str:
-        """Write the body as a MuJoCo model that has one body without joints, with one geom per piece.
+        """Write the body as a MuJoCo model: a single body without joints, with one geom per piece.
 
         A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh, whose
         vertices are part of the model file; for a cone, the mesh is a circumscribed polytope.
@@ -1396,7 +1396,7 @@ def bodies_of(packed: Packed) -> Bodies:
 
 
 def body_of_file(path: str | os.PathLike[str], wanted: str | None = None) -> Body:
-    """Read a body, and raise an error if its `checksum_of` differs from `wanted`."""
+    """Read a body, and raise an error if the result of `checksum_of` differs from `wanted`."""
     from loewner.bodies import files
 
     packed, covering = files.load(path, wanted)

@@ -12,7 +12,7 @@ from loewner._base._validate import Floats
 # Largest number of triangles used to choose an orientation.
 MOST_ASKED = 512
 
-# A box is tried along each of this many longest edges of a hull.
+# Boxes are tried along this many of a hull's longest edges.
 MOST_EDGES = 8
 
 # Every side of a box counts as longer by this share of the longest side. Between two flat boxes of equal area, the more

@@ -44,7 +44,8 @@ BEND = 4 * tolerances.ROTATION_TOLERANCE
 # products computed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
-# Axes of curved pieces are orthogonal to this accuracy even after a hundred poses that are barely accepted as rigid.
+# Axes of curved pieces are orthogonal to this accuracy, even if the pieces were moved by a hundred poses that are
+# barely accepted as rigid.
 MOST_SKEW = 1e-4
 
 # Limit on the average number of candidates per plane and vertex in the search for farthest vertices of large polytopes.

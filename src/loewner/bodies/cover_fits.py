@@ -107,8 +107,8 @@ class Candidates:
         corners = corners[:: -(-len(corners) // CORNERS)]
         inside = target.low + even_points(4 * INSIDE, 3) * (target.high - target.low)
         inside = inside[target.holds(inside)][:INSIDE]
-        # Points that must be covered and, as a fourth column, the radii of balls about these points that must also be
-        # covered; a radius above 0 belongs to a surface with a radius.
+        # The points that must be covered. A fourth column has radii of balls about the points, which must be covered as
+        # well; only points of surfaces with a radius have such balls.
         self.points = np.empty((0, 4))
         self.add_points(surface, radius[at])
         self.add_points(corners[:, :3], corners[:, 3])
@@ -120,7 +120,8 @@ class Candidates:
         centers = np.concatenate(middles)
         centers = centers[:: -(-len(centers) // int(CANDIDATES * share))]
         self.centers, self.axes, self.depth = np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-        # Bits: which candidates contain which of the first `known` points, if the candidates have the radii `radii`.
+        # One bit for each candidate and each of the first `known` points: whether the candidate contains the point. The
+        # candidates have the radii `radii`.
         self.radii, self.known = np.empty(0), 0
         self.by_point, self.by_candidate = np.empty((0, 0), dtype=np.int64), np.empty((0, 0), dtype=np.int64)
         self.add_candidates(centers, np.zeros((1, 3)))
@@ -140,7 +141,7 @@ class Candidates:
         self.add_candidates((p + q)[best] / 2, (q - p)[best] / 2)
 
     def _medial(self, points: Floats, inward: Floats) -> Floats:
-        """Find the centers of the largest balls in the body that touch its surface at points, by halving."""
+        """Find, by halving, the centers of the largest balls in the body that touch its surface at the given points."""
         low, high = np.zeros(len(points)), np.full(len(points), self.target.size)
         slack = 1e-3 * self.target.size / 10
         for _ in range(14):
@@ -214,7 +215,7 @@ class Candidates:
         return as_one(bodies) if len(bodies) > 1 else bodies[0]
 
     def proven(self, protrusion: float, steps: int, most: int | None = None) -> Packed | None:
-        """Choose candidates that provably cover the body, at most `most`; return None if no proof is found."""
+        """Choose at most `most` candidates that provably cover the body; return None if no proof is found."""
         chosen, best, packed = None, None, None
         for round_ in range(ROUNDS + MORE_ROUNDS):
             # As long as there is no proof, each further round requires the balls to contain the points with more room

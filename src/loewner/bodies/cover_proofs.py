@@ -80,7 +80,7 @@ class Target:
         self.parts = [_part(packed, i) for i in range(len(packed.layout))]
         self.triangles, self.owner = self.surface([part.triangles for part in self.parts])
         self.curved = np.array([part.inner is not None for part in self.parts])
-        # All points of the triangles in `own` belong to the body. Their areas are measured.
+        # The triangles in `own`, whose areas are measured, contain only points of the body.
         self.own = self.surface([part.triangles if part.inner is None else part.inner for part in self.parts])
         self.radius, self.slack, self.gap = (
             np.array([getattr(part, name) for part in self.parts]) for name in ("radius", "slack", "gap")
@@ -221,7 +221,7 @@ class _Cells(NamedTuple):
     element: Ints
 
     def take(self, keep: Bools, pairs: Bools | None = None) -> _Cells:
-        """Select cells, with all of their pairs or only some of the pairs."""
+        """Select cells and their pairs; `pairs` marks the pairs to keep, by default all."""
         place = np.cumsum(keep) - 1
         pairs = keep[self.cell] if pairs is None else pairs & keep[self.cell]
         return _Cells(self.shape[keep], self.owner[keep], self.area[keep], place[self.cell[pairs]], self.element[pairs])
@@ -554,9 +554,9 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     """Bound how far the elements of a model stick out of a body.
 
     A ball around a point at some depth in the body sticks out by no more than its radius minus this depth. A capsule is
-    a union of such balls. For other kinds of elements, and if this bound is much larger than the distance of some point
-    of the element, the element is replaced with a circumscribed polytope; `protrusion` bounds how far the polytope
-    sticks out.
+    a union of such balls. If this bound is much larger than the largest distance of trial points, or if the element is
+    of another kind, a circumscribed polytope replaces the element, and `protrusion` bounds how far the polytope sticks
+    out.
     """
     n, ways = len(model), ball(DIVISIONS)[0]
     upper, points = np.full(n, np.inf), []
@@ -615,7 +615,7 @@ def _round_excess(target: Target, model: Elements, these: Ints, tolerance: float
         owner, low, high = np.tile(owner, 2), np.concatenate([low, middle]), np.concatenate([middle, high])
     else:
         np.maximum.at(bound, owner, np.inf)
-    # A ball inside the triangles may stick out of the pieces by as much as the triangles stick out of the pieces.
+    # A ball inside the triangles may stick out of the pieces by as much as the triangles do.
     return np.asarray(np.maximum(bound + model.radius[these] + model.rounding[these], target.gap.max()))
 
 

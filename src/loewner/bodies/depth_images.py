@@ -14,7 +14,7 @@ from loewner.errors import InputError
 # SMALLEST is the least focal length of a camera in pixels, and LARGEST the largest entry of its intrinsic matrix.
 SMALLEST, LARGEST = 1e-3, 1e9
 
-# Depths above this number of metres are probably in millimetres.
+# Depths above this number are probably in millimetres, not in metres.
 FARTHEST = 100.0
 
 # If an image is wider or higher than this many focal lengths (170 degrees), its intrinsic matrix is probably wrong.

@@ -21,8 +21,8 @@ HEIGHT_ROUNDINGS = 64 * 2.0**-53
 # Number of products of points and planes computed at a time.
 AT_ONCE = 1_000_000
 
-# A direction that leads away from all elements is searched in FACING_STEPS steps. FACING is the cosine that it must
-# exceed.
+# The search for a direction that leads away from all elements takes FACING_STEPS steps. The cosines of its angles with
+# the directions away from the elements must exceed FACING.
 FACING_STEPS, FACING = 8, 1e-6
 
 # Number of steps of Newton's method for the point of an ellipsoid that is nearest to a given point.
@@ -182,8 +182,8 @@ class Elements:
             bounds[these] = np.where(bounds[these] > 0, np.maximum(bounds[these], far), bounds[these])
         these = np.flatnonzero((self.sigma[element] > 0) & (bounds > 0))
         if len(these):
-            # The distance from the element's supporting plane, perpendicular to the direction from a near point, is a
-            # lower bound.
+            # The distance from a supporting plane of the element is a lower bound. The plane is perpendicular to the
+            # direction from a near point of the element.
             e = element[these]
             arm = points[these] - self.center[e]
             way = arm - self._near(arm, e)

@@ -7,7 +7,7 @@ import numpy as np
 from loewner._base._matrices import components, normals_of
 from loewner._base._validate import Floats, Ints
 
-# Two neighbouring triangles count as coplanar if the angle between them [rad] is smaller.
+# Two neighbouring triangles count as coplanar if the angle between them is smaller than this [rad].
 FLAT = 1e-3
 
 

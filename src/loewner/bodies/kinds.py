@@ -1,4 +1,4 @@
-"""Kinds of pieces; one row holds all properties of a curved kind."""
+"""Define the kinds of pieces; one row has all properties of a curved kind."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ SMALLEST, LARGEST = 1e-30, 1e30
 # Share by which a pose that is accepted as rigid may still stretch or shrink lengths.
 BEND = 2 * tolerances.ROTATION_TOLERANCE  # certified.md B22
 
-# Bounds are rounded up by this factor before they go to single precision.
+# Bounds are rounded up by this factor before they are converted to single precision.
 UP = 1 + 2.0**-22  # certified.md B23
 
 # Assumed bound on the errors of singular values, relative to the largest singular value; tests compare LAPACK's errors
@@ -223,8 +223,7 @@ def kernel_of_parts(p: PieceArrays, tree: SurfaceTree, around: Sequence[Floats],
     around : sequence of ndarray, shape (k, 3)
         For each part, points whose convex hull contains the part's triangles, without the radius.
     reach : float
-        Reach of the whole surface, which the bounds on rounding use, since they must hold for all triangles of the
-        tree.
+        Reach of the whole surface. Bounds on rounding depend on it, since they must hold for all triangles of the tree.
     """
     table, count = _table(p), len(around)
     table[:, columns.REACH] = reach
@@ -399,7 +398,7 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
 
 
 def _box_corners(points: Floats, triangles: Ints) -> Floats:
-    """Find the corners of a box around all points with a small surface area; the triangles determine its axes."""
+    """Find the corners of a box with a small surface area around all points; the triangles determine its axes."""
     single = (triangles == triangles[:, :1]).all()
     turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
     turned = image(turn.T, points).T

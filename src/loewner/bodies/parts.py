@@ -99,7 +99,7 @@ def _as_they_are(packed: Packed, first: int, last: int) -> list[Packed]:
 
 
 def _parts_of(packed: Packed, i: int, most: int) -> Packed | None:
-    """Return the parts of a surface as a body, which is made once; None if the surface cannot be cut."""
+    """Return the parts of a surface as a body, kept for later calls; None if the surface cannot be cut."""
     parts_by_count = _known.setdefault(packed.trees[i], {})
     if most not in parts_by_count:
         parts_by_count[most] = _cut(packed, i, most)

@@ -1,4 +1,4 @@
-"""Compile the threads' functions to PTX, which NVIDIA's driver compiles further for its GPU.
+"""Compile the functions of `_kernels.threads` to PTX, which NVIDIA's driver compiles for its GPU.
 
 llvmlite's wheels include LLVM's back end for PTX. The back end takes the intermediate code that Numba makes from the
 library's own formulas. The formulas therefore exist in one source only, and no further compiler is needed. If PTX was
@@ -40,7 +40,7 @@ KERNELS = {
 
 @cache
 def text() -> bytes:
-    """Return the PTX of all threads' functions: from the build, from the store, or newly compiled.
+    """Return the PTX of all functions of `_kernels.threads`: from the build, from the store, or newly compiled.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def text() -> bytes:
 
 
 def compiled() -> bytes:
-    """Compile the threads' functions."""
+    """Compile the functions of `_kernels.threads` to PTX."""
     import llvmlite.binding as llvm
 
     llvm.initialize_all_targets()
@@ -117,7 +117,7 @@ def _kernel(function: Any, machine: Any) -> Any:
 
 
 def _caller(name: str, inner: str, count: int, machine: Any) -> str:
-    """Write the intermediate code of the kernel itself, ``name(total, arguments)``; threads below `total` work."""
+    """Write the intermediate code of the kernel ``name(total, arguments)``, in which the first `total` threads work."""
     from llvmlite import ir
 
     word, half = ir.IntType(64), ir.IntType(32)

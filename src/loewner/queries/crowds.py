@@ -165,8 +165,8 @@ def overlapping_pairs(
 class _Crowd(NamedTuple):
     """Bodies at poses.
 
-    `n` is the number of bodies. `steps` is 1 or 0 for whether each body has its own pieces, and whether it has its own
-    pose.
+    `n` is the number of bodies. `steps` has two numbers, 1 or 0: whether each body has its own pieces, and whether each
+    has its own pose.
     """
 
     n: int

@@ -369,9 +369,9 @@ def classify(
         Distance in metres that the bodies have to keep. FREE means that the distance of the bodies exceeds `margin`,
         and COLLIDING means that it does not.
     pairs : array_like of int, shape (..., 2), optional
-        Pairs of a row of a and a row of b to compare, instead of broadcasting. Row i of a is body i at pose i; a single
-        body or a single pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with each of
-        m bodies, pass ``np.indices((n, m)).T``; the result has shape (m, n).
+        Pairs to compare, each a row of a and a row of b, instead of broadcasting. Row i of a is body i at pose i; a
+        single body or a single pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with
+        each of m bodies, pass ``np.indices((n, m)).T``; the result has shape (m, n).
 
     Returns
     -------

@@ -30,8 +30,8 @@ NEARLY_HALF = 1e-3
 # A motion with a twist is divided into turns of at most this angle [rad].
 MOST_TURN = 3.0
 
-# Motions are approximated by cubic curves in pieces; the quaternions at the ends of a piece differ by at most this
-# angle [rad].
+# Cubic curves approximate the pieces of a motion. The quaternions at the ends of a piece differ by at most this angle
+# [rad].
 MOST_ARC = 0.05
 
 # The first and the last pose of a motion that repeats may differ: in position by CLOSED, relative to the largest

@@ -12,9 +12,9 @@ from loewner._base._files import read_regular, shown
 from loewner._base._xml import Element, XmlError, parse
 from loewner.errors import FileError
 
-# Limits for each file on bytes, on elements, and on the nesting of elements; and limits for a model on included files,
-# and on copies made by replicas. The time to compile grows with the square of the number of copies. Compiling
-# MOST_COPIES copies takes a few seconds, and gives more pairs than a checker accepts.
+# Limits on the bytes, the elements, and the nesting of elements in a file; and on the included files of a model, and
+# the copies made by replicas. The time to compile grows with the square of the number of copies. Compiling MOST_COPIES
+# copies takes a few seconds, and gives more pairs than a checker accepts.
 MOST_BYTES = 2**26
 MOST_ELEMENTS = 2_000_000
 DEEPEST = 1000

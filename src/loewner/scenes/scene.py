@@ -242,7 +242,7 @@ class Scene:
 
     @property
     def attachments(self) -> dict[str, Attachment]:
-        """How each attached body is attached to its link, keyed by the name of the body."""
+        """Links and poses of the attached bodies, keyed by the names of the bodies."""
         return _validate.Named("attached body", self._in_order(self._attachments))
 
     @property
@@ -724,7 +724,7 @@ class Scene:
             A body of the scene. If the body is already attached to a link, it is handed over to the new link. If it
             follows a motion, it stops following the motion. Bounds on its pose are dropped.
         link : str
-            Name of a link, which is checked when the scene is paired with a robot.
+            Name of a link. It is checked when the scene is combined with a robot.
         T_link_body : array_like, shape (4, 4), or None
             Pose of the body in the frame of the link, with its translation in metres; None is the identity.
         touch_links : iterable of str
@@ -1010,7 +1010,7 @@ class Scene:
         Parameters
         ----------
         least : float
-            Least margin in metres. The scene's own margin is raised to it as well; larger margins do not change.
+            Least margin in metres. The scene's own margin is raised as well; larger margins do not change.
 
         Raises
         ------
