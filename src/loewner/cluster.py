@@ -288,12 +288,10 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Out
 
 def _record(target: Path) -> dict[str, Any] | None:
     """Read the record next to a body; None if it does not exist or belongs to a different body."""
-    try:
+    with suppress(FileError, ValueError, RecursionError):  # missing or damaged
         record = _json.parsed(read_regular(_record_path(target), "a record", LARGEST_RECORD), "the record")
         if isinstance(record, dict) and record.get("body_sha256") == _checksum_of_body(target):
             return record
-    except (FileError, ValueError, RecursionError):  # missing or damaged
-        pass
     return None
 
 

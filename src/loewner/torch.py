@@ -114,7 +114,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
 
 def _differentiable(measure: Measure) -> Callable[[Any], Any]:
     """Make a PyTorch function from a measure."""
-    function_class, _ = _functions()
+    function_class = _function_class()
 
     def function(Q: Any) -> Any:
         _expect_configurations(Q, measure)
@@ -148,8 +148,8 @@ def _is_differentiated(Q: Any) -> bool:
 
 
 @cache
-def _functions() -> tuple[Any, Any]:
-    """Define the two classes that PyTorch differentiates; this requires PyTorch and happens once."""
+def _function_class() -> Any:
+    """Define the class of functions that PyTorch differentiates; this requires PyTorch and happens once."""
     torch = _torch()
     Function: Any = torch.autograd.Function
 
@@ -213,7 +213,7 @@ def _functions() -> tuple[Any, Any]:
         def jvp(ctx: Any, *_: Any) -> Any:
             raise ctx.measure.no_second_derivatives()
 
-    return Asked, Times
+    return Asked
 
 
 _torch = partial(imported, "torch", "functions for PyTorch need PyTorch", "torch")

@@ -23,9 +23,7 @@ def of_pieces(packed: Packed) -> list[Mesh]:
 
 def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
     """Return the centers and factors of all inner, or all outer, ellipsoids."""
-    if which == "inner":
-        return packed.inner_center, packed.inner_factor
-    return packed.outer_center, packed.outer_factor
+    return getattr(packed, f"{which}_center"), getattr(packed, f"{which}_factor")
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:

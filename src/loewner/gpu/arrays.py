@@ -62,10 +62,8 @@ def taken(x: Any, name: str, device: Device) -> View:
     InputError
         If the array is not float32, not in C order, not aligned, or on a different GPU.
     """
-    if hasattr(x, "__cuda_array_interface__"):
-        address, shape, kind, strides, owner = _by_interface(x, name, device)
-    else:
-        address, shape, kind, strides, owner = _by_dlpack(x, name, device)
+    read = _by_interface if hasattr(x, "__cuda_array_interface__") else _by_dlpack
+    address, shape, kind, strides, owner = read(x, name, device)
     size = math.prod(shape)
     if kind != "f4":
         raise InputError(f"{name}: expected float32 on the GPU, found {np.dtype(kind).name}; convert it there")

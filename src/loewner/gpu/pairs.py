@@ -104,50 +104,44 @@ def classify(
     for bodies in (a, b):
         single_rows(packed_of(bodies))  # refuses pieces that are too small or too large, even if there is no GPU
     poses = {"T_world_a": T_world_a, "T_world_b": T_world_b}
-    there = [is_on_gpu(T) for T in poses.values()]
-    here = [None if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
-    if not any(there):
-        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # raises errors about arguments
+    checked = [T if is_on_gpu(T) else _validate.poses(T, name, check=False) for name, T in poses.items()]
+    there = any(map(is_on_gpu, checked))
+    if not there:
+        queries.plan_of(a, checked[0].shape, b, checked[1].shape, each=5, chosen=pairs)  # raises errors about arguments
 
     def on_gpu() -> Any:
         gpu = driver.opened(number)
-        views = [taken(T, name, gpu) if is_on_gpu(T) else None for name, T in poses.items()]
-        operands = [_Operand(*each) for each in zip((a, b), here, views, strict=True)]
+        held = [taken(T, name, gpu) if is_on_gpu(T) else T for name, T in zip(poses, checked, strict=True)]
+        operands = [_Operand(*each) for each in zip((a, b), held, strict=True)]
         plan = queries.plan_of(a, operands[0].shape, b, operands[1].shape, each=5, chosen=pairs)
-        return _classified(gpu, plan, operands, refined, any(there))
+        return _classified(gpu, plan, operands, refined, there)
 
     def on_cpu() -> Any:
         ask: Any = queries.classify  # Any, because there is one signature for each kind of operands
-        return ask(a, here[0], b, here[1], pairs=pairs)
+        return ask(a, checked[0], b, checked[1], pairs=pairs)
 
-    return attempted(on_gpu, on_cpu if instead and not any(there) else None)
-
-
-def _shape(poses: Floats | None) -> tuple[int, ...]:
-    return () if poses is None else poses.shape
+    return attempted(on_gpu, on_cpu if instead and not there else None)
 
 
 class _Operand(NamedTuple):
-    """Bodies and their poses, which are on the CPU (`here`) or on the GPU (`there`)."""
+    """Bodies and their poses; a `View` stands for poses on the GPU."""
 
     bodies: Body | Bodies
-    here: Floats | None
-    there: View | None
+    poses: Floats | View
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the poses."""
-        shape = self.there.shape if self.there is not None else _shape(self.here)
+        shape = self.poses.shape
         if shape[-2:] != (4, 4):
             raise PoseError(f"expected poses of shape (..., 4, 4), found {_validate.shape_text(shape)}")
         return shape
 
     def poses_at(self, gpu: Device, rows: Ints) -> Floats:
         """Return the poses of some rows, in double precision and in CPU memory."""
-        if self.there is not None:
-            return gathered(gpu, self.there.address, 16, rows).reshape(-1, 4, 4)
-        assert self.here is not None
-        return np.ascontiguousarray(self.here.reshape(-1, 4, 4)[rows])
+        if isinstance(self.poses, View):
+            return gathered(gpu, self.poses.address, 16, rows).reshape(-1, 4, 4)
+        return np.ascontiguousarray(self.poses.reshape(-1, 4, 4)[rows])
 
 
 class _Tables(NamedTuple):
@@ -189,7 +183,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     expect_few(plan.total, "pairs")
     packs = [packed_of(operand.bodies) for operand in operands]
     tables = [_tables_of(gpu, packed) for packed in packs]
-    poses = [_poses_on(gpu, operand) for operand in operands]
+    poses = [_poses_on(gpu, operand.poses) for operand in operands]
     steps = gpu.upload(plan.steps.astype(np.int32))
     rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
     verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
@@ -218,14 +212,13 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     return Verdict(int(out[0])) if plan.shape == () else out.reshape(plan.shape)
 
 
-def _poses_on(gpu: Device, operand: _Operand) -> View:
+def _poses_on(gpu: Device, poses: Floats | View) -> View:
     """Copy poses to the GPU in single precision, unless they are there."""
-    if operand.there is not None:
-        return operand.there
-    assert operand.here is not None
+    if isinstance(poses, View):
+        return poses
     with np.errstate(over="ignore"):  # infinite numbers are left to the CPU
-        memory = gpu.upload(operand.here.astype(np.float32))
-    return View(memory.address, operand.here.shape, memory)
+        memory = gpu.upload(poses.astype(np.float32))
+    return View(memory.address, poses.shape, memory)
 
 
 def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
@@ -247,8 +240,7 @@ def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -
     Ta, Tb = operands[0].poses_at(gpu, pose_a), operands[1].poses_at(gpu, pose_b)
     if not body_a.any() and not body_b.any():
         steps = np.array([[len(numbers)], [0], [1], [0], [1]], dtype=np.int64)
-        done = settle(codes.CERTIFY, 0.0, 0, len(numbers), (steps, NO_ROWS, a, Ta, b, Tb), out) is not None
-        if not done:
+        if settle(codes.CERTIFY, 0.0, 0, len(numbers), (steps, NO_ROWS, a, Ta, b, Tb), out) is None:
             _refuse(Ta, Tb)
         return out
     rows = np.stack([body_a, body_b]).astype(np.int64)

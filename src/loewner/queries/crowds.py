@@ -226,14 +226,12 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> _Crowd:
     T = _validate.poses(T_world, "T_world")
     if T_world is not None and T.ndim != 3:
         raise PoseError(f"T_world: expected shape (n, 4, 4), found {_validate.shape_text(T.shape)}")
-    if isinstance(bodies, Body):
-        n = 1 if T_world is None else len(T)
-    else:
-        n = len(bodies)
-        if T_world is not None and len(T) != n:
-            raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
+    T = T.reshape(-1, 4, 4)
+    n = len(bodies) if isinstance(bodies, Bodies) else len(T)
+    if T_world is not None and len(T) != n:
+        raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
     steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
-    return _Crowd(n, steps, packed_of(bodies), T.reshape(-1, 4, 4))
+    return _Crowd(n, steps, packed_of(bodies), T)
 
 
 def _tree(crowd: _Crowd) -> Tree:

@@ -201,9 +201,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
             f"expected two times or more and a pose for each, shape (n, 4, 4), found {len(at)} and poses of shape "
             f"{_validate.shape_text(T.shape)}"
         )
-    for k in np.flatnonzero(~(at[1:] > at[:-1]))[:1]:
-        raise InputError(f"times: expected times that increase, found {at[k]:.15g} and then {at[k + 1]:.15g}")
     with np.errstate(over="ignore"):
+        _validate.increasing(at, "times")
         if not np.isfinite(at[-1] - at[0]):
             raise InputError(f"times: expected a finite duration, found {at[0]:.15g} .. {at[-1]:.15g}")
     positions, quaternions = T[:, :3, 3].copy(), quaternions_of(T[:, :3, :3])
