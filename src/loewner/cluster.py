@@ -160,10 +160,10 @@ def fit(
     Each body equals the body that `Body.from_mesh` makes. A body is written under a temporary name, and the file is
     then renamed.
 
-    A mesh is skipped if its body and its record exist, if the body has not changed since it was written, and if the
-    record has the checksum of the mesh file, the same options and the same version of loewner. If a call was
-    interrupted, or its workers died, repeating the call therefore continues where it stopped. A glTF file that refers
-    to other files is always fitted again.
+    A mesh is skipped under three conditions: its body and its record exist; the body has not changed since it was
+    written; and the record has the checksum of the mesh file, the same options and the same version of loewner. If a
+    call was interrupted, or its workers died, repeating the call therefore continues where it stopped. A glTF file that
+    refers to other files is always fitted again.
 
     If a worker dies, Dask gives its files to the remaining workers, including finished files whose outcome was lost
     with the worker. If four workers die while fitting the same file, the file counts as failed, since it may need more

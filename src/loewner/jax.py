@@ -41,9 +41,9 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     Raises
     ------
     InputError
-        If `checker` is not a checker, or the softness is not positive and finite. The returned function also raises
-        this error: if its argument is not an array of float32 or float64, if the width is not dof, if an entry is not
-        finite, if there is no pair to check, or if a second derivative is requested.
+        If `checker` is not a checker, or the softness is not positive and finite. The returned function raises this
+        error if its argument is not an array of float32 or float64, if the width is not dof, or if an entry is not
+        finite; also if there is no pair to check, or if a second derivative is requested.
     MissingExtraError
         If JAX is not installed.
 
@@ -100,7 +100,7 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        If an exact distance does not converge, as for `loewner.distance`; the returned function raises this error.
+        The returned function raises this error if an exact distance does not converge, as for `loewner.distance`.
 
     Notes
     -----

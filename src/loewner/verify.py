@@ -17,8 +17,8 @@ factors are in metres.
   rotation adds its own error times l, and rounding adds 2. For a chain of k links with the total length L, the error is
   at most E (L + 1), where E = TURN (k + 1).
 - A plane's normal n is exact, since any vector is a valid normal. In the other body's frame, the normal has an error of
-  2 E |n| + 5. A gap therefore has an error of at most (|n| + 1) E (2 X + 4 L + 3), where X is the size of the bodies,
-  plus |n| times the errors of both bodies' placed points. The error of a placed point is at most ``_Body.fuzz``.
+  2 E |n| + 5. Let X be the size of the bodies. A gap has an error of at most (|n| + 1) E (2 X + 4 L + 3), plus |n|
+  times the errors of both bodies' placed points. The error of a placed point is at most ``_Body.fuzz``.
 """
 
 import argparse

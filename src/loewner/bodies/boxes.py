@@ -45,8 +45,9 @@ def _turns(triangles: Floats) -> Floats:
 
     The axes along a face begin with the normal of the largest triangle. All points are projected along this normal. The
     second axis follows an edge of the hull of the projections, because the smallest rectangle around points in a plane
-    has a side along an edge of their hull (Freeman and Shapira: Determining the minimum-area encasing rectangle for an
-    arbitrary closed curve, 1975).
+    has a side along an edge of their hull.
+
+    Freeman and Shapira (1975), Determining the minimum-area encasing rectangle for an arbitrary closed curve.
     """
     points = triangles.reshape(3, -1)
     off = points - points.mean(axis=1, keepdims=True)

@@ -248,9 +248,9 @@ def _check_surface(p: PieceArrays, rows: Ints, start: Ints, local: Floats, size:
     """Check that the triangles use all points and enclose the inner ellipsoid, here the unit ball.
 
     A closed surface that winds once around the origin encloses every point that can be reached from the origin without
-    crossing the surface. If no triangle is nearer than the radius of the ball, the surface therefore encloses the ball,
-    and the hull of the corners contains the ball. The test uses the distances of the triangles, not the distances of
-    their planes, because the corners of a sliver do not determine a plane.
+    crossing the surface. If no triangle is nearer to the origin than the radius of the ball, the surface therefore
+    encloses the ball, and the hull of the corners contains the ball. The test uses the distances of the triangles, not
+    the distances of their planes, because the corners of a sliver do not determine a plane.
     """
     first, last = p.triangle_start[rows], p.triangle_start[rows + 1]
     triangles = p.triangles[first[0] : last[-1]]

@@ -25,8 +25,8 @@ from loewner.meshes.triangles import halved, longest_edges, unit_normals
 # Initial numbers of points that the balls must contain: on the surface, at corners, and in the interior.
 SURFACE, CORNERS, INSIDE = 6000, 1500, 500
 
-# DENSITY is the number of surface points in a square whose edge is the protrusion. A small surface needs fewer points
-# and candidates, but at least the share LEAST_SHARE of the usual numbers.
+# DENSITY is the number of surface points in a square whose edges are as long as the protrusion. A small surface needs
+# fewer points and candidates, but at least the share LEAST_SHARE of the usual numbers.
 DENSITY, LEAST_SHARE = 8.0, 0.2
 
 # Number of candidates for the centers of balls.

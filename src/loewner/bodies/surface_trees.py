@@ -112,7 +112,7 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     1 contains the sum. The p used here minimises the trace of that matrix. Kurzhanski and Valyi (1997), Ellipsoidal
     Calculus for Estimation and Control, section 2.2.
     """
-    # The size is p times the radius. It is bounded from below, which is allowed because every p > 0 is valid.
+    # The size is p times the radius. The lower limit on the size is allowed because every p > 0 is valid.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return cholesky(joint) * (1 + SUM_ROUNDING)

@@ -106,8 +106,9 @@ class Checker:
         GpuError
             If the GPU cannot do the work.
         InputError
-            If the width is not dof, an entry is not finite, an array on the GPU has the wrong type or layout or is on a
-            different GPU, pieces are smaller than 1e-3 m or larger than 1e3 m, or poses of the scene have errors.
+            If the width is not dof, or an entry is not finite; if an array on the GPU has the wrong type or layout, or
+            is on a different GPU; if pieces are smaller than 1e-3 m or larger than 1e3 m; or if poses of the scene have
+            errors.
         UnknownNameError, ConvergenceError
             As for `CollisionChecker.collide`.
         """
@@ -155,10 +156,10 @@ class Checker:
 
         Notes
         -----
-        A motion is cut into intervals. As on the CPU, a plane proves two bodies free in an interval if the plane
-        separates the bodies at both ends of the interval, with room for the bend of the paths in between. All
-        computations are in single precision, with bounds on the errors (docs/certified.md). The CPU decides the
-        remaining motions, about one in a thousand; these come within a few hundredths of a millimetre of contact.
+        A motion is cut into intervals. As on the CPU, a plane proves two bodies free in an interval if it separates
+        them at both ends, and leaves room for the bend of the paths in between. All computations are in single
+        precision, with bounds on the errors (docs/certified.md). The CPU decides the remaining motions, about one in a
+        thousand; these come within a few hundredths of a millimetre of contact.
 
         Examples
         --------

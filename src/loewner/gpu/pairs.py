@@ -75,8 +75,8 @@ def classify(
     PoseError
         If the shape of a pose does not end in (4, 4), a pose is not a rigid motion, or batches do not broadcast.
     InputError
-        If an operand is not a body, an array on the GPU has the wrong type or layout or is on a different GPU, pieces
-        are smaller than 1e-3 m or larger than 1e3 m, or there are more than 2^31 - 1 pairs.
+        If an operand is not a body; if an array on the GPU has the wrong type or layout, or is on a different GPU; if
+        pieces are smaller than 1e-3 m or larger than 1e3 m; or if there are more than 2^31 - 1 pairs.
 
     Notes
     -----

@@ -87,7 +87,7 @@ def expect_few(count: int, what: str) -> None:
 class Left:
     """The work that a kernel leaves to the CPU.
 
-    It is a list on the GPU, to which threads append; the first entry is the length.
+    The work is a list on the GPU, to which threads append. The first entry of the list is its length.
 
     Parameters
     ----------

@@ -457,9 +457,9 @@ def collide(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
-        Both methods first use the certificate. For ambiguous pairs, "exact" then searches on the pieces themselves,
-        whereas "estimate" guesses the answer in O(1) from the product of two contact functions, one for the inner and
-        one for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
+        Both methods first use the certificate. For ambiguous pairs, "exact" then searches on the pieces themselves.
+        Instead of this search, "estimate" guesses the answer in O(1), from the product of two contact functions, one
+        for the inner and one for the outer ellipsoids. The guess is wrong for some pairs (docs/theory/estimate.md).
     margin : float
         Distance in metres up to which pairs count as colliding.
     pairs : array_like of int, shape (..., 2), optional

@@ -34,8 +34,8 @@ MOST_TURN = 3.0
 # [rad].
 MOST_ARC = 0.05
 
-# The first and the last pose of a motion that repeats may differ: in position by CLOSED, relative to the largest
-# coordinate or 1 m, and in orientation by the angle CLOSED_TURN [rad].
+# The first and the last pose of a motion that repeats may differ slightly: in orientation by the angle CLOSED_TURN
+# [rad], and in position by CLOSED, relative to 1 m or to the largest coordinate if that is larger.
 CLOSED, CLOSED_TURN = 1e-9, 1e-6
 
 # Largest speed [m/s], and shortest time between two poses [s]. Within these limits, bounds on rounding are far from
@@ -188,8 +188,8 @@ def path_of(times: ArrayLike, poses: ArrayLike, repeat: bool) -> PosePath:
     Raises
     ------
     InputError
-        If there are fewer than two times, times do not increase, the numbers of poses and times differ, two successive
-        poses differ by half a turn, or a motion that repeats does not end at its first pose.
+        If there are fewer than two times, or times do not increase; if the numbers of poses and times differ; if two
+        successive poses differ by half a turn; or if a motion that repeats does not end at its first pose.
     PoseError
         If a pose is not a rigid motion.
     """

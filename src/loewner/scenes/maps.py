@@ -19,7 +19,7 @@ from loewner._base._validate import Bools, Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import FileError, imported
 
-# Largest size of a file, and largest number of pixels of an image.
+# Largest sizes of the two files [bytes], and largest number of pixels of the image.
 LARGEST_YAML, LARGEST_IMAGE, MOST_PIXELS = 1_000_000, 500_000_000, 400_000_000
 
 # Grey value of unknown cells in files that ROS writes.

@@ -46,8 +46,8 @@ class MjcfJoint(NamedTuple):
     reference : float
         Value of the joint at which the body has the pose stated in the file: the attribute `ref`.
     mimic : tuple, optional
-        The name of the joint that this joint follows, a multiplier and an offset. It is None unless equalities are
-        read, and an equality in the file couples the two joints.
+        The name of the joint that this joint follows, a multiplier and an offset; None unless equalities are read and
+        an equality in the file couples the two joints.
     """
 
     name: str

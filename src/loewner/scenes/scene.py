@@ -651,8 +651,8 @@ class Scene:
         Raises
         ------
         InputError
-            If the body is attached to a link, times do not increase, the numbers of times and poses differ, two
-            successive poses differ by half a turn, or a bound is negative or not finite.
+            If the body is attached to a link; if times do not increase; if the numbers of times and poses differ; if
+            two successive poses differ by half a turn; or if a bound is negative or not finite.
         PoseError
             If a pose is not a rigid motion.
         UnknownNameError
@@ -724,7 +724,7 @@ class Scene:
             A body of the scene. If the body is already attached to a link, it is handed over to the new link. If it
             follows a motion, it stops following the motion. Bounds on its pose are dropped.
         link : str
-            Name of a link. It is checked when the scene is combined with a robot.
+            Name of a link; the name is checked when the scene is combined with a robot.
         T_link_body : array_like, shape (4, 4), or None
             Pose of the body in the frame of the link, with its translation in metres; None is the identity.
         touch_links : iterable of str
@@ -865,9 +865,9 @@ class Scene:
         -----
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
         `CollisionChecker.certify_trajectory`). Suppose that a motion or curve starts with the two bodies in contact, or
-        within their margin. It is FREE if two conditions are proven. First, on an initial stretch, the contact does not
-        worsen by more than the tolerance of the proof: no two pieces penetrate each other deeper than at the start or,
-        within the margin, come nearer. Second, on the rest of the motion, the bodies keep their margin.
+        within their margin. The motion is FREE if two conditions are proven. First, on an initial stretch, the contact
+        does not worsen by more than the tolerance of the proof: no two pieces penetrate each other deeper than at the
+        start or, within the margin, come nearer. Second, on the rest of the motion, the bodies keep their margin.
 
         The bodies have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the
         initial stretch ends before they come near again. To find this end, distances are measured at several places
@@ -1043,8 +1043,8 @@ class Scene:
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
         applies to every pair of links. In addition, the margin of each body or link and the margin of the pair apply. A
-        margin that was set with ``lower=True`` overrides more general margins, even if these are larger: the margin of
-        a body or link overrides the scene's and the links' margin, and the margin of a pair overrides all others.
+        margin that was set with ``lower=True`` overrides more general margins, even if these are larger. The margin of
+        a body or link then overrides the scene's and the links' margin, and the margin of a pair overrides all others.
 
         Parameters
         ----------
