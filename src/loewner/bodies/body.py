@@ -82,7 +82,7 @@ class Piece(_validate.Brief, KeepsReadOnly):
 
 
 class _Unmade:
-    """Stand-in for the arrays of a body until its constructor sets them; using it raises an error."""
+    """Placeholder for the arrays of a body until its constructor sets them; using it raises an error."""
 
     def __get__(self, body: Any, kind: type) -> Any:
         if body is None:

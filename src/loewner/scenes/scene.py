@@ -53,7 +53,7 @@ class Contact:
         Names of a scene's bodies or of a robot's links.
     distance : float
         In metres. A negative distance is minus the depth of the two pieces that overlap most deeply. The distance is
-        positive if the bodies are apart by no more than their margin. For bodies that just touch, rounding may make it
+        positive for bodies that are apart but within their margin. For bodies that just touch, rounding may make it
         slightly positive.
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, such that witness_b - witness_a = distance * normal.
