@@ -1373,7 +1373,7 @@ def packed_of(bodies: Body | Bodies) -> Packed:
 
 
 def reach_of(bodies: Body | Bodies) -> float:
-    """Bound the distance from the origin of each body to its points [m], at any pose that is accepted as rigid.
+    """Bound the distances from the origins of bodies to their points [m], at any pose that is accepted as rigid.
 
     The radius of a surface or cloud does not count, since a rotation moves a ball no farther than its center.
     """

@@ -284,7 +284,7 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
     for (_, before), (row, after) in pairwise(rows):
         if "rpy" in before and "rpy" in after:
             angles = np.array([before["rpy"].numbers(3), after["rpy"].numbers(3)])
-            # Angles within pi may have been wrapped, so that their difference is not the turn.
+            # Angles within pi cause no warning: they may have been wrapped, and then their difference is not the turn.
             if min(np.abs(angles).max(), np.ptp(angles, axis=0).max()) > np.pi:
                 warn(
                     f"{row.file}, line {row.line}: expected roll, pitch and yaw within pi of those in the row before, "
