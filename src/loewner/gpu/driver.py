@@ -37,7 +37,7 @@ OLD_DRIVER = (34, 35, 36, 803)
 # After these errors, the context can no longer be used; it holds all of this process's work on the GPU.
 LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
 
-# Messages for error codes, where the message contains no numbers.
+# Messages without numbers, keyed by the code of the error.
 CAUSES = {
     **dict.fromkeys(LOST, "the GPU's work was lost, and everything that this process keeps there; restart the process"),
     **dict.fromkeys(OLD_DRIVER, "expected a newer driver of the GPU: update it"),
