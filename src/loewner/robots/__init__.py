@@ -2,11 +2,11 @@
 
 `description` contains links, joints and the formats of robots, `checking` checks configurations, and `proofs` proves
 motions. `checker` defines `CollisionChecker`, which users call. `sampling` guesses which pairs can never collide.
-`covers` and `cover_files` replace the bodies of links with a few simple shapes, `swept` finds bodies that contain links
-along curves, and `gradients` prepares queries for JAX and PyTorch.
+`covers` and `cover_files` replace the bodies of links with a few simple shapes. `swept` constructs bodies that contain
+links throughout their motion along curves. `gradients` prepares queries for JAX and PyTorch.
 """
 
-from loewner.robots import covers as _covers  # noqa: F401 - implements methods of Robot, as do the next two
+from loewner.robots import covers as _covers  # noqa: F401 - `covers`, `swept` and `pair_ranges` extend Robot
 from loewner.robots import swept as _swept  # noqa: F401
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.checking.distances import PairDistances, StateDistance

@@ -1,7 +1,7 @@
 """Check a robot in a scene, at one configuration, at millions of configurations, or along motions.
 
-A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
-wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
+A `CollisionChecker` checks arguments, keeps the prepared pairs (see `problem`) until the scene changes, and wraps the
+results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
 """
 
 from __future__ import annotations
@@ -40,17 +40,19 @@ from loewner.robots.proofs.written_proofs import proof_of
 from loewner.scenes.scene import Contact, Scene, poses_since
 from loewner.scenes.scene import drawn as drawn_scene
 
-# Number of configurations after which pairs are reordered; they are reordered again each time this number has doubled.
+# Number of configurations after which the pairs are first reordered. They are reordered again each time the number of
+# checked configurations has doubled.
 FIRST_LOOK = 32
 
 # Number of random configurations in which a pair must also collide before it is suspected of always colliding.
 SUSPECTED = 64
 
-# A scene whose bodies are all farther away than FAR times the robot's reach, found from TRIED random configurations, is
-# probably in millimetres.
+# A scene is probably in millimetres if all of its bodies are farther away than FAR times the robot's reach. The reach
+# is estimated from TRIED random configurations.
 FAR, TRIED = 100.0, 8
 
-# Version of the scene, queries for one configuration, and the prepared pairs; one tuple is thread-safe and fast.
+# Version of the scene, queries for one configuration, and the prepared pairs. One tuple holds all three, since a tuple
+# is replaced in one step: this is thread-safe and fast.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 
@@ -68,7 +70,7 @@ class CollisionChecker:
         that `pairs_by_sampling` returns.
     skip_adjacent : bool, optional
         Skip pairs of links that are connected by a joint, since most such links overlap by design. By default, these
-        pairs are skipped only if the robot was read without an SRDF; an SRDF usually disables such pairs.
+        pairs are skipped only if the robot was read without an SRDF, since an SRDF usually disables them.
 
     Raises
     ------
@@ -89,8 +91,8 @@ class CollisionChecker:
     If no pair is checked (for example, because all pairs are allowed), every configuration is free: see
     `checked_pairs`.
 
-    Several threads may use a checker at once, and other threads may change its scene: each answer refers to one
-    consistent state of the scene.
+    Several threads may use a checker at the same time, even while other threads change its scene. Each answer refers to
+    one consistent state of the scene.
 
     Examples
     --------
@@ -99,7 +101,7 @@ class CollisionChecker:
     >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     >>> robot = Robot.from_urdf("arm.urdf")
     >>> checker = CollisionChecker(robot, scene)
-    >>> checker.collide([[0.0, 1.57], [1.0, 1.57]])  # the cart beside the post, and in it
+    >>> checker.collide([[0.0, 1.57], [1.0, 1.57]])  # the cart next to the post, and inside it
     array([False,  True])
     >>> [(contact.name_a, contact.name_b) for contact in checker.pairs([1.0, 1.57])]
     [('cart', 'post')]
@@ -132,9 +134,9 @@ class CollisionChecker:
         self._skipped = skipped | robot.link_pairs(allowed, "allowed")
         _warn_of_refuted(robot)
         self._prepared = UNPREPARED
-        self._still: tuple[int, CollisionChecker] | None = None  # result of `without_motions`, and the scene's version
+        self._still: tuple[int, CollisionChecker] | None = None  # scene's version, and result of `without_motions`
         self._seen, self._next_look, self._suspected = 0, FIRST_LOOK, False
-        self._is_near = False  # whether some body of the scene is near the robot, or a warning was issued
+        self._is_near = False  # whether the distances of the scene's bodies have been checked
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the prepared pairs out of copies and pickles: their handle is an address, valid only in this object."""
@@ -162,7 +164,7 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the name does not end in ``.lwn``, or bodies of the scene follow motions or have inexact poses.
+            If the name does not end in ``.lwn``. If bodies of the scene follow motions or have inexact poses.
         UnknownNameError
             As for `collide`.
         FileError
@@ -172,7 +174,7 @@ class CollisionChecker:
         -----
         The file contains prepared data, which only the same version of loewner can read. In programs that read the
         file, contacts at the ends of motions count as collisions even if `Scene.leave` or `Scene.reach` permits them.
-        Errors of poses are set in these programs, by ``loewner_checker_set_bounds``.
+        To set errors of poses, such a program calls ``loewner_checker_set_bounds``.
 
         Examples
         --------
@@ -248,7 +250,7 @@ class CollisionChecker:
                 single = ready.single
             collides = single.collide(Q)
             if collides is not None:
-                self._seen += 1  # not in `_learn`: calling it would take a tenth of the time
+                self._seen += 1  # inline, since a call of `_learn` would take a tenth of the time
                 if self._seen >= self._next_look:
                     self._learn(ready, 0)
                 return collides
@@ -343,8 +345,8 @@ class CollisionChecker:
 
         Notes
         -----
-        Joint values change linearly, and quaternions follow the shorter arc. A motion is checked at its ends, then in
-        its middle, then at quarters, since collisions tend to be found early in this order.
+        Joint values change linearly, and quaternions follow the shorter arc. A motion is checked at its ends, then at
+        its middle, then at its quarters, since collisions tend to be found early in this order.
 
         Examples
         --------
@@ -407,9 +409,9 @@ class CollisionChecker:
             step. Default: no limit.
         proof : bool
             If all motions are free, also write a `Proof`, with the motions in the order of the flattened batch. Such a
-            proof requires joints that turn or slide, and no bodies that follow motions. The proof states where bodies
-            are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap there.
-            Successive motions without gaps count as one curve, with a single bound on the depth.
+            proof requires that all joints turn or slide, and that no bodies follow motions. The proof states where
+            bodies are in contact at the ends of motions (`Scene.leave`, `Scene.reach`), and how deeply they may overlap
+            there. Successive motions without gaps count as one curve, with a single bound on the depth.
 
         Returns
         -------
@@ -439,13 +441,14 @@ class CollisionChecker:
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
         `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
-        motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. Surfaces and
-        clouds are replaced with the convex hulls of a few of their parts and, where these hulls meet, with the
-        triangles or points in them. The first call with a new surface takes longer, since it computes the parts.
+        motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. For surfaces and
+        clouds, the proof uses the convex hulls of a few parts. Where such a hull meets the other body, the proof uses
+        the triangles or points of the part. The first call with a new surface takes longer, since it computes the
+        parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
-        end. A contact at the start becomes deeper along the motion by no more than the tolerance; a contact at the end
-        is no deeper than the tolerance. Both bounds also hold for bodies that follow motions.
+        end. Along the motion, a contact at the start may become deeper by at most the tolerance. A contact at the end
+        may be no deeper than the tolerance. Both bounds also hold for bodies that follow motions.
 
         Examples
         --------
@@ -840,7 +843,7 @@ class CollisionChecker:
         return np.ascontiguousarray(np.asarray(found.gradient)[..., : self.robot.dof])
 
     def _exact(self, ready: Problem, Q: Floats) -> Verdicts:
-        """Decide verdict and tier of all configurations in the current scene; ConvergenceError if any is unsettled."""
+        """Decide the verdict and the tier of each configuration; raise ConvergenceError if any is unsettled."""
         flat = edges.flat(Q)
         answers = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
@@ -903,7 +906,7 @@ class CollisionChecker:
         ready: Problem | None = self._prepared[2]
         if ready is not None and ready.version == self._scene.version:
             return ready
-        # These poses are from one moment: a change by another thread in the meantime is noticed at the next query.
+        # These poses are a snapshot. If another thread changes the scene in the meantime, the next query notices.
         moved = None if ready is None else poses_since(self._scene, ready.structure_version)
         if ready is not None and moved is not None:
             poses, paths, bounds, version = moved
@@ -942,7 +945,7 @@ def _is_empty(body: Body) -> bool:
 
 
 def _warn_of_refuted(robot: Robot) -> None:
-    """Warn if pairs that are exempt from checking were found to collide (`Robot.prove_pairs`)."""
+    """Warn if `Robot.prove_pairs` has found collisions of pairs that are exempt from checking."""
     wrong = pair_cache.refuted(robot)
     if wrong:
         worst = min(wrong, key=lambda row: row.distance)

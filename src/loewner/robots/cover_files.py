@@ -1,8 +1,8 @@
-"""Read and write models of a robot's links made of spheres and other shapes, in the formats of planners.
+"""Read and write models that represent a robot's links by spheres or other shapes, in the formats of planners.
 
-A model is used as its own program would use it: numbers are rounded to float32 if the program rounds them, buffers are
-added to radii, and shapes that the program ignores are left out. A warning lists contents of the file that could matter
-but are not read.
+A model is interpreted in the same way as in the program for which it was written. Numbers are rounded to float32 if the
+program rounds them, buffers are added to radii, and shapes that the program ignores are left out. A warning lists
+contents of the file that could matter but are not read.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FORMATS: tuple[CoverFormat, ...] = get_args(CoverFormat)
 # outwards when written.
 OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 
-# Formats, keyed by the suffix of the file; the keys of a file decide between formats with the same suffix.
+# Formats, keyed by the suffix of the file. If several formats have the same suffix, the keys in the file decide.
 BY_SUFFIX = {".yml": "curobo", ".yaml": "curobo", ".xrdf": "curobo", ".json": "pyroki", ".urdf": "urdf"}
 BY_SUFFIX |= {".xml": "mjcf", ".mjcf": "mjcf"}
 
@@ -46,14 +46,14 @@ YAML = (".yml", ".yaml")
 WRITTEN = {"curobo": YAML, "scene": YAML, "pyroki": (".json",), "mjcf": (".xml", ".mjcf")}
 WRITTEN |= dict.fromkeys(("vamp", "foam", "urdf"), (".urdf",))
 
-# Size of the largest file that is read [bytes]: ten thousand spheres take one megabyte.
+# Maximum size of a file [bytes]. Ten thousand spheres take one megabyte.
 MOST_BYTES = 2**25
 
-# How far shapes other than spheres are enlarged on each side when they are written [m]: far more than the rounding
-# errors of angles and sizes in a robot with parts smaller than a kilometre.
+# Length by which shapes other than spheres are enlarged on each side when they are written [m]. In a robot whose parts
+# are smaller than a kilometre, rounding errors of angles and sizes are far smaller.
 WIDENED = 1e-9
 
-# Keys without shapes or rules on pairs, in cuRobo's files, Lula's robot descriptions and XRDF files.
+# Keys in cuRobo's files, Lula's robot descriptions and XRDF files that contain neither shapes nor rules about pairs.
 OF_CUROBO = frozenset((
     "acceleration_limits", "add_object_link", "api_version", "asset_root_path", "base_link", "composite_task_spaces",
     "cspace", "cspace_to_urdf_rules", "debug", "default_joint_positions", "default_q", "dynamics", "ee_link",
@@ -65,7 +65,7 @@ OF_CUROBO = frozenset((
 ))  # fmt: skip
 OF_FOAM = ("mean", "best", "worst", "spheres")
 
-# Name in notes for the spheres that are left out of files of pyroki and foam.
+# Words in notes for the spheres that are ignored in files of pyroki and foam.
 WITHOUT_SIZE = "spheres with a radius of 0 or less"
 
 
@@ -85,7 +85,7 @@ class Model:
     bodies : dict
         Bodies by link name, each in the frame of its link.
     ignored : frozenset of pairs of str, or None
-        The pairs that the file's program does not check; None if the file has no rules on pairs.
+        The pairs that the file's program does not check; None if the file has no rules about pairs.
     notes : list of str
         Contents of the file that neither its program nor this reader uses.
     """
@@ -158,7 +158,7 @@ answers |= {"with_cover": with_cover, "save_cover": save_cover}
 
 
 def read_model(file: Path, format: str | None = None) -> Model:
-    """Read the file of a model.
+    """Read a model from a file.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def read_model(file: Path, format: str | None = None) -> Model:
     InputError
         If the format cannot be determined from the name.
     MissingExtraError
-        If PyYAML or MuJoCo is needed and not installed.
+        If PyYAML or MuJoCo is needed but not installed.
     """
     chosen = format_of(file, format)
     if chosen in ("curobo", "pyroki") or (chosen == "foam" and file.suffix.lower() == ".json"):
@@ -256,7 +256,7 @@ def _body(centers: Floats, radii: Floats, link: str) -> Body:
 
 
 def _rounded(balls: _Balls) -> _Balls:
-    """Round spheres to float32 so that each contains the given sphere; spheres in float32 do not change."""
+    """Round spheres to float32. Each rounded sphere contains its original; spheres in float32 do not change."""
     with np.errstate(over="ignore"):
         centers = np.float32(balls.centers).astype(float)
         moved = np.linalg.norm(centers - balls.centers, axis=1)
@@ -264,7 +264,7 @@ def _rounded(balls: _Balls) -> _Balls:
         needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
         single = needed.astype(np.float32)
         radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)
-    if not np.isfinite(radii).all():  # a center that is not finite gives a radius that is not finite
+    if not np.isfinite(radii).all():  # a non-finite center gives a non-finite radius
         raise InputError(f"expected spheres that float32 can express, found a radius of {balls.radii.max():g} m")
     return _Balls(centers, radii)
 
@@ -282,13 +282,13 @@ def _spheres_of(body: Body, link: str, format: str) -> _Balls:
 
 
 def _balls(spheres: Node, center: str, grow: float = 0.0) -> list[tuple[list[float], float]]:
-    """Read the centers of spheres, which have the key `center`, and their radii, enlarged by `grow`."""
+    """Read spheres: their centers, under the key `center`, and their radii, which are enlarged by `grow`."""
     each = (entry.mapping((center, "radius"), required=(center, "radius")) for entry in spheres.items())
     return [(keys[center].numbers(3), keys["radius"].number() + grow) for keys in each]
 
 
 def _of_positive(balls: list[tuple[list[float], float]], name: str, others: str, model: Model) -> Body | None:
-    """Make a body of the spheres with a radius above 0, if there are any; a note counts the other spheres."""
+    """Make a body of the spheres with positive radii, or return None if there are none. A note counts the others."""
     solid = [ball for ball in balls if ball[1] > 0]
     if len(solid) < len(balls):
         model.notes.append(f"{len(balls) - len(solid)} {others} of {name!r}")
@@ -397,7 +397,7 @@ def _names(node: Any) -> Collection[str]:
 
 
 def _curobo_text(robot: Robot, balls: Mapping[str, _Balls]) -> str:
-    """Write the keys of a configuration that describe spheres and pairs; cuRobo reads the spheres from such a file."""
+    """Write the part of a cuRobo configuration that describes spheres and pairs. cuRobo can read this part alone."""
     quoted = {link: json.dumps(link, ensure_ascii="\x85" in link) for link in robot.link_names}
     lines = ["collision_link_names:", *(f"- {quoted[link]}" for link in balls), "collision_sphere_buffer: 0.0"]
     lines.append("collision_spheres:")
@@ -442,12 +442,12 @@ def _read_pyroki(keys: dict[str, Any], file: Path) -> Model:
 
 
 def _pairs_file(file: Path) -> Path:
-    """Return the file of pairs next to a file of pyroki's spheres, since the format of the spheres has no pairs."""
+    """Return the file of pairs that belongs to a file of pyroki's spheres, whose format cannot express pairs."""
     return file.with_name(f"{file.stem}.ignored.json")
 
 
 def _read_foam(keys: dict[str, Any], file: Path) -> Model:
-    """Read foam's database: for each ``LINK::MESH``, the spheres by branching factor and depth, finest last."""
+    """Read foam's database, which lists each ``LINK::MESH``'s spheres by branching factor and depth, finest last."""
     parts: dict[str, list[Body]] = {}
     model = Model()
     if set(keys) == set(OF_FOAM):

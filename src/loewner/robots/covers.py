@@ -1,4 +1,4 @@
-"""Cover the links of robots with simple shapes, and judge such models from other programs, link by link."""
+"""Cover robot links with simple shapes, and judge covers from other programs, link by link."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far shapes may stick out of links by default [m].
 USUAL = 0.02
 
-# Number of configurations in the search for pairs that meet only because of a cover's shapes. With 1,000
-# configurations, a pair that meets in one of a hundred is missed in about one of 23,000 robots.
+# Number of configurations in the search for pairs that meet only because of a cover's shapes. If a pair meets in one
+# percent of all configurations, a sample of 1,000 configurations misses it with a probability of 1 in 23,000.
 TRIED = 1000
 
-# Largest number of boxes of configurations for proofs that pairs of links never collide; most pairs take a few
+# Maximum number of boxes of configurations in the proof that a pair of links never collides. Most pairs take a few
 # thousand.
 BOXES = 200_000
 
-# Number of links that are covered at a time; each link takes 100 MB.
+# Number of links that are covered at the same time. Each link takes 100 MB of memory.
 MOST_THREADS = 4
 
-# Search for the protrusion that gives n shapes: the range of protrusions [m], the first protrusion, the number of
-# steps, the share of n that suffices, and a power. The number of shapes is roughly proportional to the protrusion to
-# the power of -1.25, or -1 / POWER.
+# Parameters of the search for the protrusion that gives n shapes. FIRST is the protrusion [m] of the first step; every
+# protrusion is between LEAST and LARGEST. The search ends after STEPS steps, or as soon as a cover has at least the
+# share ENOUGH of n shapes. The number of shapes is roughly proportional to the protrusion to the power of -1 / POWER.
 LEAST, LARGEST, FIRST, STEPS, ENOUGH, POWER = 1e-4, 10.0, 0.03, 8, 0.92, 0.8
 
 
@@ -70,7 +70,7 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
-    """Return the same robot with other bodies; if `ignored` is given, it replaces the robot's rules on pairs."""
+    """Return the robot with other bodies. If given, `ignored` replaces its disabled pairs and its rules about pairs."""
     variant = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
     return variant if ignored is None else replace(variant, disabled_pairs=ignored, _ruled=True)
 
@@ -83,8 +83,8 @@ def exempt_pairs(robot: Robot) -> frozenset[Pair]:
 def new_contacts(robot: Robot, model: Robot) -> list[tuple[Pair, float, float]]:
     """Find the pairs that meet in sampled configurations with the model's bodies, but not with the robot's own bodies.
 
-    The result states two shares of the configurations for each pair: the share in which the model's bodies meet but the
-    robot's own bodies do not, and the share in which the model's bodies meet.
+    Return two shares of the configurations for each pair. In the first share, the model's bodies meet but the robot's
+    own bodies do not. In the second share, the model's bodies meet.
     """
     Q = robot.random_configurations(TRIED)
     theirs = CollisionChecker(model)
@@ -134,7 +134,7 @@ def _bytes_of(body: Body) -> tuple[bytes, ...]:
 
 
 def _of_number(robot: Robot, kind: Kind, n: int, progress: Progress) -> dict[str, Body]:
-    """Cover all links with nearly n shapes, and never more, under one bound on how far they stick out of any link."""
+    """Cover all links with at most n shapes, nearly n if possible, with the same bound on each link's protrusion."""
     low, high, best, protrusion = LEAST, LARGEST, None, FIRST
     for step in range(STEPS):
         if n < len(robot.bodies):

@@ -19,7 +19,8 @@ from loewner.errors import InputError
 from loewner.robots.checker import CollisionChecker
 from loewner.robots.description.robot import expect_width
 
-# Maps configurations, and whether gradients are requested, to values and gradients (arbitrary unless requested).
+# A function of configurations and of a flag that requests gradients. It returns values and gradients. Without the flag,
+# the gradients are arbitrary.
 Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
 
 
@@ -32,14 +33,14 @@ class Measure:
     ask: Ask
 
     def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
-        """Return values [m], shape (...), at configurations, shape (..., dof), and their derivatives on request."""
+        """Return the values [m], shape (...), at configurations, shape (..., dof); on request, also the derivatives."""
         values, gradients = self.ask(Q, gradient)
         with np.errstate(over="ignore"):  # overflow of float32 gives infinity
             down = rounded_down(values, Q.dtype)
             return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
 
     def expect_width(self, shape: tuple[int, ...]) -> None:
-        """Refuse configurations whose shape does not match the robot, before their values are known."""
+        """Refuse configurations whose width does not match the robot; the check needs only their shape."""
         expect_width(self.checker.robot, shape, "Q")
 
     def named(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -29,7 +29,7 @@ def pairs_by_sampling(
     Parameters
     ----------
     robot : Robot
-        The robot's `disabled_pairs` are skipped.
+        Its `disabled_pairs` have no effect: these pairs are tested like all others.
     samples : int
         Number of random configurations within the limits; see `Robot.random_configurations`.
     seed : int
@@ -54,7 +54,7 @@ def pairs_by_sampling(
     Notes
     -----
     "never" is not a proof: ten thousand samples are likely to miss a pair that meets in one configuration in a million.
-    Pass the pairs, or only the pairs with certain reasons, to `Robot.disabling`.
+    Pass all pairs, or only the pairs with certain reasons, to `Robot.disabling`.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""Swept volumes: make a body that is proven to contain links all along a curve, and bound how far it sticks out.
+"""Swept volumes: make a body that provably contains links along a whole curve, and bound how far it sticks out.
 
 The curve is evaluated at knots. The knots are so close together that each point of a link stays near the chords between
-its positions at successive knots. Consider the hull of a convex piece's positions at two knots. If this hull is grown
-by the largest distance of points from their chords, the grown hull contains the piece all the way between the two
-knots. docs/certified.md, "Swept volumes", derives this containment and the bound on the excess.
+its positions at successive knots. Consider the hull of a convex piece's positions at two knots. Grown by the largest
+distance of points from their chords, this hull contains the piece everywhere between the two knots. docs/certified.md,
+"Swept volumes", derives this containment and the bound on the excess.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, of_path, started
 from loewner.scenes.scene import Scene
 
-# Shares of the tolerance: for replacing solids and curved shapes with convex pieces, for leaving out vertices, for the
-# distance of points from the chords between knots, and for the turn between two knots.
+# Shares of the tolerance. PIECES is for replacing solids and curved shapes with convex pieces, VERTICES for leaving out
+# vertices, CHORDS for the distance of points from the chords between knots, and TURNS for the turn between two knots.
 PIECES, VERTICES, CHORDS, TURNS = 0.4, 0.05, 1 / 32, 0.25
 
-# Edge of a cloud's cells, as a share of the excess allowed for a hull (`room`): the hull of the points in a cell then
-# sticks out by at most half the excess allowed.
+# Edge length of a cloud's cells, as a share of the excess that a hull is allowed (`room`). With this share, the hull of
+# the points in a cell sticks out by at most half of `room`.
 CELLS = 0.45
 
-# Number of vertices of a piece above which vertices are left out.
+# If a piece has more than FEW vertices, some of them are left out.
 FEW = 26
 
-# Largest number of poses of links.
+# Maximum number of poses of links.
 MOST_PLACES = 2**21
 
-# Smallest growth of a hull, as a share of the tolerance: with less growth, neighbouring corners would coincide.
+# Minimum growth of a hull, as a share of the tolerance. With less growth, neighbouring corners would coincide.
 LEAST_GROWTH = 1e-4
 
 # A ball of radius 1 lies in the octahedron with these corners.
@@ -64,13 +64,13 @@ OCTAHEDRON = math.sqrt(3.0) * (1 + 1e-15) * np.concatenate([np.eye(3), -np.eye(3
 # Relative error of a coordinate that is rounded to single precision.
 SINGLE = 2.0**-24
 
-# Relative slack for rounding errors of lengths in double precision: a thousand times as much as needed.
+# Relative slack for rounding errors of lengths in double precision, a thousand times larger than needed.
 ROUNDINGS = 2.0**-53 * 2**20
 
 # Certified log-volume gap of the ellipsoids.
 TOL = 1e-2
 
-# Convex pieces of meshes, keyed by tree and by how far they may stick out; kept because cutting a mesh takes seconds.
+# Cache of the convex pieces of meshes, keyed by tree and by `room`, since cutting a mesh takes seconds.
 _known: WeakKeyDictionary[SurfaceTree, dict[float, list[tuple[Floats, float]]]] = WeakKeyDictionary()
 
 # Directions in which the first vertices are chosen: towards the corners, edges and faces of a cube.
@@ -108,8 +108,8 @@ class _Knots(NamedTuple):
     ----------
     poses : ndarray, shape (bodies, N, 4, 4)
     sag, astray, error : ndarray, shape (bodies, N - 1)
-        Bounds in metres: `sag` on how far points are from their chords, `astray` on how far joint errors move points,
-        and `error` on errors of the poses.
+        Bounds in metres. `sag` bounds how far points are from their chords, `astray` how far joint errors move points,
+        and `error` the errors of the poses.
     """
 
     poses: Floats
@@ -125,8 +125,8 @@ class _Element(NamedTuple):
     ----------
     part, first, last : int
     growth, grown : float
-        How far the hull has to be grown, and how far it is grown [m]; the difference allows for rounding the vertices
-        to single precision.
+        The hull has to be grown by `growth` [m], and it is grown by `grown` [m]. The difference allows for rounding the
+        vertices to single precision.
     excess : float
         Bound on how far the grown hull sticks out of the body's swept volume [m].
     """
@@ -171,7 +171,7 @@ answers["swept"] = swept
 
 
 def united(bodies: list[Body]) -> tuple[Body, float]:
-    """Join bodies that `swept` made into one body with a covering, and return it with its excess [m]."""
+    """Join bodies from `swept` into one body with a covering; return the body and its excess [m]."""
     excess = max(body.covering.max_protrusion for body in bodies if body.covering is not None)
     return Body(packed_of(Body.union(bodies)), Covering("swept", True, 0.0, math.nan, 0, excess)), excess
 
@@ -220,10 +220,10 @@ _SIGNS = np.array([[-1.0], [1.0]])
 
 
 def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
-    """Return points whose hulls contain a piece of a body, and how far each hull may stick out of it.
+    """Return points whose hulls together contain a piece of a body, and a bound on how far each hull sticks out of it.
 
-    A curved shape becomes a polytope around it, and a cloud becomes one polytope for each cell of a grid. A solid or a
-    surface becomes its hull, or is cut along planes if the hull sticks out farther than `room`.
+    The hull of a curved shape is a polytope around the shape, and a cloud has one hull for each cell of a grid. A solid
+    or a surface is replaced with its hull or, if this hull sticks out farther than `room`, cut along planes.
     """
     kind, frame = int(packed.layout[i, columns.KIND]), packed.frames[i]
     radius = float(frame[0])
@@ -244,7 +244,7 @@ def _convex(packed: Packed, i: int, room: float) -> list[tuple[Floats, float]]:
 def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, float]]:
     """Return points whose hulls contain the balls of a cloud, cell by cell, and how far each hull sticks out.
 
-    If points are at most d apart, each point of their hull is within √(3/8) d of one of them.
+    If all distances between points are at most d, each point of their hull is within √(3/8) d of one of the points.
     """
     grown, further = _grown_ball(radius, room / 2)
     cell = np.unique(np.floor(points / (CELLS * room)), axis=0, return_inverse=True)[1].ravel()
@@ -256,10 +256,10 @@ def _of_cloud(points: Floats, radius: float, room: float) -> list[tuple[Floats, 
 
 
 def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tuple[Floats, float]]:
-    """Return vertices of hulls that together contain a mesh, or a solid, and how far each hull sticks out.
+    """Return the vertices of hulls that together contain a surface or a solid, and how far each hull sticks out.
 
-    The hull of a solid's surface contains the solid. Likewise, the hull of a closed part, or of a part on one side of a
-    plane, contains the portion of the solid that is there.
+    The hull of a solid's surface contains the solid. Likewise, the hull of a closed part contains this part of the
+    solid, and the hull of the surface on one side of a plane contains the solid on that side.
     """
     vertices, triangles = meshes.welded(vertices, triangles)
     closed = closed_parts(vertices, triangles) if solid else None
@@ -298,15 +298,15 @@ def _around(kind: int, radius: float, center: Floats, factor: Floats, room: floa
 
 
 def _thinned(points: Floats, room: float) -> tuple[Floats, float]:
-    """Choose vertices of the points' hull; return them with a bound on any point's distance from the vertices' hull."""
+    """Choose vertices of the points' hull. Return them, and a bound on the distance of any point from their hull."""
     vertices = Polytope.from_points(points).vertices
     size = float(np.abs(vertices).max())
     if len(vertices) <= FEW:
-        return vertices, ROUNDINGS * size  # the hull leaves out points that rounding cannot distinguish from its faces
+        return vertices, ROUNDINGS * size  # points that rounding cannot distinguish from faces may be outside the hull
     chosen = np.unique(product(vertices, (_WAYS / np.ptp(vertices, axis=0)).T).argmax(axis=0)).tolist()
     middle = vertices[chosen].mean(axis=0)
     _, _, axes = np.linalg.svd(vertices[chosen] - middle)
-    across = np.abs((vertices - middle) @ axes[2])  # the chosen ones may lie in a plane, like the rim of a lid
+    across = np.abs((vertices - middle) @ axes[2])  # the chosen vertices may lie in a plane, like the rim of a lid
     chosen = sorted({*chosen, int(across.argmax())})
     while True:
         away = distances_from(vertices, Polytope.from_points(vertices[chosen]), ROUNDINGS * size)
@@ -373,7 +373,7 @@ def _diameter(points: Floats) -> float:
 
 
 def _off_chords(ways: Floats) -> float:
-    """Bound how far points in the hull of a part's two places can be from the chords of the part's points [m].
+    """Bound the distance of any point in the hull of a part's two places from the chords of the part's points [m].
 
     Parameters
     ----------
@@ -413,8 +413,7 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
 
     i, last, step = 0, len(places) - 1, 1
     while i < last:
-        # Find the farthest knot: first in growing steps, then between the last knot that fits and the first that does
-        # not.
+        # Find the farthest knot that fits: first in growing steps, then by bisection.
         best, farthest, beyond = None, i, last + 1
         while beyond - farthest > 1:
             j = min(i + step, last) if beyond > last else (farthest + beyond) // 2
@@ -437,7 +436,7 @@ def _elements(parts: list[_Part], number: int, knots: _Knots, tolerance: float) 
 
 
 def _hull(part: _Part, knots: _Knots, one: _Element) -> Polytope:
-    """Make the grown hull of a part's two places, with vertices in single precision.
+    """Make the grown hull of a part's places at two knots, with vertices in single precision.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from loewner.robots.checking.problem import Problem
 from loewner.robots.description.robot import Robot, unlimited
 from loewner.scenes.scene import Scene
 
-# Largest margin that the library for C accepts; the kernels have the same limit on the size of bodies.
+# Largest margin that the library for C accepts. The kernels limit the size of bodies to the same number.
 MOST_MARGIN = 1e30
 
 
@@ -31,8 +31,8 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     Raises
     ------
     InputError
-        If bodies of the scene follow motions, since programs that read the file cannot pass a time, or have inexact
-        poses, since the file has no bounds on errors. If the robot has no joints, a margin is larger than
+        If bodies of the scene follow motions, since programs that read the file cannot pass a time. If bodies have
+        inexact poses, since the file has no bounds on errors. If the robot has no joints, a margin is larger than
         `MOST_MARGIN`, or a name contains a NUL.
     """
     if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
@@ -68,7 +68,7 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
 
 
 def _rules(scene: Scene, ready: Problem) -> dict[str, Any]:
-    """Return margins of single bodies, and the rules that apply to pairs of static bodies once one of the two moves."""
+    """Return margins of single bodies, and rules for two static bodies, which apply as soon as one of them moves."""
     margins, place = scene.margins, {name: k for k, name in enumerate(ready.names) if k >= len(ready.link)}
     rules: dict[tuple[int, ...], list[float]] = {}
     for a, b in scene.allowed - scene.leaving - scene.reaching:

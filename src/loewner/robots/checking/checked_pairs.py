@@ -1,4 +1,4 @@
-"""Find the pairs of bodies that can meet but, under the rules of the robot and the scene, must not touch."""
+"""Find the pairs of bodies that can meet but must not touch under the rules of the robot and the scene."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from loewner.robots.description.assembly import with_moving_bodies
 from loewner.robots.description.robot import Robot
 from loewner.scenes.scene import Attachment, Scene, in_world
 
-# Largest number of pairs: their arrays take about two gigabytes, and checking a configuration that is not free takes
-# minutes.
+# Maximum number of pairs. At this number, the arrays take about two gigabytes, and checking a configuration that is not
+# free takes minutes.
 MOST_PAIRS = 2**24
 
 
-# Cache: for each attachment, its body, and a copy of the body in the frame of the link.
+# Cache that maps each attachment to its body and to a copy of the body in the frame of the link.
 _carried: WeakKeyDictionary[Attachment, tuple[Body, Packed]] = WeakKeyDictionary()
 
 
@@ -94,7 +94,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
 
 
 def _bodies(robot: Robot, scene: Scene, following: list[str]) -> tuple[tuple[str, ...], list[Packed], Ints]:
-    """List names and bodies, moving bodies first, and the link with which each moving body moves."""
+    """List the names and the bodies, moving bodies first, and the number of each moving body's link."""
     links = {name: k for k, name in enumerate(robot.link_names)}
     moving = [(name, links[name], packed_of(body)) for name, body in robot.bodies.items()]
     moving += [(name, links[held.link], _on_link(scene[name], held)) for name, held in scene.attachments.items()]
@@ -107,7 +107,7 @@ def _bodies(robot: Robot, scene: Scene, following: list[str]) -> tuple[tuple[str
 
 
 def _on_link(body: Body, held: Attachment) -> Packed:
-    """Return an attached body in the frame of its link, made once for each attachment."""
+    """Return an attached body in the frame of its link; the result is cached for each attachment."""
     entry = _carried.get(held)
     if entry is None or entry[0] is not body:
         entry = _carried[held] = body, packed_of(body.transformed(held.T_link_body))
@@ -117,7 +117,7 @@ def _on_link(body: Body, held: Attachment) -> Packed:
 def _pairs(
     robot: Robot, scene: Scene, names: tuple[str, ...], link: Ints, skipped: Iterable[Pair]
 ) -> tuple[Ints, Floats]:
-    """Pair bodies, as indices into `names` with the moving one first, and find their margins in metres."""
+    """List pairs of bodies, as indices into `names` with a moving body first, and their margins in metres."""
     moving, total = len(link), len(names)
     most = moving * (2 * total - moving - 1) // 2
     if most > MOST_PAIRS:

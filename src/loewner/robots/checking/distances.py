@@ -1,4 +1,4 @@
-"""Compute a robot's distances from obstacles and from itself, for the nearest or all near pairs, with gradients."""
+"""Compute a robot's distances from obstacles and itself, for the nearest pair or all close pairs, with gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StateDistance(_validate.Brief, Generic[Exact, Vector]):
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids; each is the minimum over all checked pairs.
+        Certified bounds from the ellipsoids: the minima of the lower and of the upper bounds of all checked pairs.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
@@ -59,7 +59,7 @@ class StateDistance(_validate.Brief, Generic[Exact, Vector]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairDistances(_validate.Brief):
-    """Pairs of bodies that are near each other, one entry per pair and configuration.
+    """Pairs of bodies that are close to each other, with one entry per pair and configuration.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool)
     row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
     _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
     columns = nearest_columns(ready, Q, exact)
-    if ready.given is not None:  # bounds for all poses within the errors; the distance is for the given poses
+    if ready.given is not None:  # the bounds are for all poses within the errors, the distance for the given poses
         bounds = [np.add(nearest_columns(one, Q, False), [[-error], [error]]) for error, one in ready.by_error]
         columns[0], columns[1] = np.min(bounds, axis=0)
     if gradient:
@@ -147,7 +147,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
     if not exact:
         return list(numbers)
     lower, upper, distance = numbers
-    # The bounds are proven and the value is computed, so clamp the value to the bounds.
+    # The bounds are proven, but the value has rounding errors, so clamp the value to the bounds.
     np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
     bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1
     if not care:
@@ -161,7 +161,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
 
 
 def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
-    """List (configuration, pair) for all pairs that balls and boxes do not prove to be farther apart than `within`."""
+    """List (configuration, pair), except for pairs that balls and boxes prove to be more than `within` apart."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
     memory = workspace(ready.memory(entries.memory_of_nearest))
     while True:
@@ -182,7 +182,7 @@ def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: 
 
 
 def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDistances:
-    """Compute the exact distances of all pairs that are near enough; see `CollisionChecker.distance_by_pair`."""
+    """Compute the exact distances of all pairs that are close enough; see `CollisionChecker.distance_by_pair`."""
     listed = near_pairs(ready, Q, within)
     _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
     distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
@@ -226,7 +226,7 @@ def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tu
 
 
 def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
-    """Compute `clearances` for all poses within the errors: reduce the clearance of each group by the group's error."""
+    """Compute `clearances` for all poses within the errors: subtract from each group's clearance the group's error."""
     parts = [(error, clearances(one.as_given, Q, softness, gradient)) for error, one in ready.by_error]
     each = np.array([lower - error for error, (lower, _) in parts])
     least = each.min(axis=0)

@@ -1,4 +1,4 @@
-"""Sample motions between given ends: first the ends, then the middle, then points in successively finer steps.
+"""Sample motions between given ends: first the ends, then the middle, then points at finer and finer spacing.
 
 Collisions tend to be found early in this order.
 """
@@ -17,21 +17,21 @@ from loewner._base._validate import Floats, Ints
 from loewner.errors import InputError
 from loewner.robots.description.robot import Robot
 
-# Smallest number of configurations of edges that is worth a kernel call.
+# Minimum number of configurations that is worth a kernel call.
 AT_LEAST = 64
 
-# Largest number of configurations that are computed at a time, unless there are more edges. For ten joints, the
+# Maximum number of configurations that are computed at a time, unless there are more edges. For ten joints, the
 # configurations take 80 MB.
 MOST_AT_ONCE = 2**20
 
-# A quotient of a length and a step that is within NEARLY_WHOLE of an integer may be rounded to either side of the
-# integer.
+# If the quotient of a length and a step is this close to an integer, rounding may put it on either side of the integer.
+# The distance is relative.
 NEARLY_WHOLE = 1e-9
 
 # Bytes of a motion's results: a verdict, a fraction, a pair, and the work that was done.
 BYTES_OF_A_MOTION = 40
 
-# Largest number of steps in a motion; a larger number suggests a wrong unit.
+# Maximum number of steps in a motion. A larger number suggests a wrong unit.
 MOST_STEPS = 2**24
 
 
@@ -114,5 +114,5 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def flat(Q: Floats) -> Floats:
-    """Flatten configurations to rows, even for a robot without joints, for which NumPy cannot infer a length of -1."""
+    """Flatten configurations to rows. Without joints, NumPy could not infer the number of rows from -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

@@ -1,4 +1,4 @@
-"""Keep on disk which pairs of a robot's links can ever collide, keyed by everything on which the answers depend."""
+"""Cache on disk which pairs of a robot's links can ever collide, keyed by all data on which the answers depend."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ARRAYS = ("lower", "upper", "nearest", "colliding", "free")
 
 
 def known_pairs(robot: Any) -> dict[Pair, tuple[ProvenPair, int]]:
-    """Return the cached answers for a robot, each with the number of boxes that its search was allowed."""
+    """Return the cached answers for a robot, each with the maximum number of boxes in its search."""
     answers, start = {}, _start(robot)
     with suppress(OSError, _sealed.DamagedFileError, ValueError, KeyError, TypeError):
         if any(path.name.startswith(start) for path in FOLDER.iterdir()):  # computing `_path` takes milliseconds
@@ -54,7 +54,7 @@ def refuted(robot: Any) -> list[ProvenPair]:
 
 
 def _start(robot: Any) -> str:
-    """Return the beginning of a cache file's name, which is fast to compute."""
+    """Return the beginning of a cache file's name; unlike the whole name, it is fast to compute."""
     names = robot.name, *robot.link_names, *robot.configuration_names
     return hashlib.sha256("\0".join(names).encode()).hexdigest()[:16]
 

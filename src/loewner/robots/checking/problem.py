@@ -1,7 +1,7 @@
-"""Prepare the pairs of bodies to check, at one state of the scene, as arrays for the kernels.
+"""Prepare the pairs of bodies to check, for one state of the scene, as arrays for the kernels.
 
-This module computes once the data that are the same for every query: balls about moving bodies, bounds and ellipsoids
-of static bodies in world coordinates, and additional data for proofs of motions.
+Data that are the same for every query are computed only once: balls about moving bodies, bounds and ellipsoids of
+static bodies in world coordinates, and additional data for proofs of motions.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from loewner.bodies.parts import in_open_parts, in_parts, in_small_parts
 from loewner.queries.pose_paths import OFF_ROUNDINGS, PackedPaths, PoseBounds, PosePath
 from loewner.robots.description.robot import Robot, link_poses
 
-# Smallest number of configurations that a thread takes at a time: about half a millisecond of work.
+# Minimum number of configurations that a thread takes at a time: about half a millisecond of work.
 LEAST_SHARE = 512
 
 # Number of configurations whose poses are computed at a time: with a hundred bodies, the poses take 13 MB.
 IN_TURN = 1024
 
-# Largest number of poses of bodies that are computed at a time: 100 MB.
+# Maximum number of body poses that are computed at a time: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
 _NONE = np.zeros(0)
@@ -43,7 +43,7 @@ class OfMargin(NamedTuple):
     """Pairs with the same margin, in the form that `loewner.queries._settle.settle` takes."""
 
     margin: float
-    at: Ints  # indices of the pairs among all pairs
+    at: Ints  # indices of the pairs
     plan: Ints
     rows: Ints
 
@@ -58,12 +58,12 @@ class Standing(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The pairs to check, at one state of the scene, as arrays for the kernels; other data is derived when needed.
+    """The pairs to check, for one state of the scene, as arrays for the kernels; other data is derived when needed.
 
     Attributes
     ----------
     robot : Robot
-        The robot, which has, after its own joints, a floating joint for each body that follows a motion.
+        The robot. Its own joints are followed by a floating joint for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -75,7 +75,7 @@ class Problem:
     link, pairs, margins, order
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
-        Whether a pair may be in contact at the start, or at the end, of a motion: see `Scene.leave` and `Scene.reach`.
+        Whether a pair may be in contact at the start or at the end of a motion: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
         Number of collisions found for each pair; this is the only array that changes. Threads may lose each other's
         counts, but the counts affect only the order of the pairs.
@@ -174,7 +174,7 @@ class Problem:
         return chosen
 
     def with_order(self, order: Ints) -> Problem:
-        """Set the order in which configurations test the pairs; proofs of motions have an order of their own."""
+        """Set the order in which configurations test the pairs; proofs of motions order the pairs themselves."""
         ordered = self._placed(self.standing.poses, order=order)
         ordered._table[PROBLEM_ROWS["order"], 0] = order.ctypes.data
         for value in (Problem.cut, Problem.open_cut):
@@ -209,7 +209,7 @@ class Problem:
 
     def _placed(self, poses: Floats, **changes: Any) -> Problem:
         """Return a copy with the static bodies at other poses and some attributes changed."""
-        # New memory, since another thread may be reading the old block; most entries of the old block stay valid.
+        # Use new memory, since another thread may be reading the old block. Most entries of the old block stay valid.
         block = np.empty(len(self.block))
         handle = entries.place_static(self.packed.handle, self.handle, block, poses.reshape(-1, 16))
         # `dataclasses.replace` would take a fifth of the total time.
@@ -267,7 +267,7 @@ class Problem:
         return np.asarray(np.array([*self.names, ""])[np.append(self.pairs, [[-1, -1]], axis=0)])
 
     def memory(self, needed_by: Callable[[int, int, int], int]) -> int:
-        """Number of scratch bytes for a kernel, from the kernel that computes this number."""
+        """Return the number of scratch bytes for a kernel; `needed_by` is the kernel that computes this number."""
         size = self._memory.get(needed_by)
         if size is None:
             size = self._memory[needed_by] = int(needed_by(self.packed.handle, self.handle, self.robot.dof))
@@ -296,15 +296,15 @@ class Problem:
 
     @kept
     def cut(self) -> Problem | None:
-        """The problem with its surfaces cut into parts; None if there are no surfaces that can be cut."""
+        """The problem with its surfaces cut into parts; None if no surface can be cut."""
         return self._of_parts(in_parts(self.packs))
 
     @property
     def in_parts(self) -> Problem:
         """The problem for proofs of motions, with any surfaces cut into parts.
 
-        Parts of a solid cover only its surface. A motion on which no parts meet is free if its start is free, since a
-        body can enter another body only through the surfaces. `starts_matter` is true if there are solids.
+        The parts of a solid cover only its surface, and a body can enter a solid only through the surface. A motion on
+        which no parts meet is therefore free if its start is free. `starts_matter` is true if there are solids.
         """
         return self.cut or self
 
@@ -395,7 +395,7 @@ class Problem:
         return self.with_pairs(self.pairs, margins, self.leaving, self.reaching)
 
     def off_at(self, t: float) -> Floats:
-        """Bound, for each pair, the sum of the position errors of its moving bodies at a time [m], shape (pairs,)."""
+        """Bound the sum of the position errors of each pair's moving bodies at a time [m], shape (pairs,)."""
         if self.paths is None or not self.paths.bounds:
             return np.zeros(len(self.pairs))
         at = np.array([t])
@@ -411,7 +411,7 @@ class Problem:
     # -- poses --------------------------------------------------------------------------------
 
     def fingerprint(self) -> str:
-        """Compute a checksum of everything on which a verdict depends: joint tree, bodies, pairs, margins and poses."""
+        """Compute a checksum of all data on which verdicts depend: joint tree, bodies, pairs, margins and poses."""
         arrays = {
             **self.robot.tree._asdict(), **arrays_of(self.packed), "link": self.link, "pairs": self.pairs,
             "margins": self.margins, "standing_poses": self.standing.poses,
@@ -423,11 +423,11 @@ class Problem:
         moving = link_poses(self.robot, Q)[:, self.link]
         standing = self.standing.poses.reshape(-1, 4, 4)
         standing = np.broadcast_to(standing, (len(Q), *standing.shape))
-        # In C order, which the kernels assume; NumPy may choose another order.
+        # The kernels assume C order, but NumPy may choose another order.
         return np.ascontiguousarray(np.concatenate([moving, standing], axis=1))
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield, for successive blocks of configurations, the index of the first one and the poses of all bodies."""
+        """Yield blocks of configurations: the index of a block's first configuration, and the poses of all bodies."""
         each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
         for first in range(0, len(Q), each):
             yield first, self.poses(Q[first : first + each])
@@ -438,5 +438,5 @@ def _equal(packs: Sequence[Packed], others: Sequence[Packed]) -> bool:
     return len(packs) == len(others) and all(map(is_, packs, others))
 
 
-# The attributes that depend neither on poses nor on the order of pairs.
+# Attributes that depend neither on poses nor on the order of the pairs.
 _LASTING = (*Problem.__dataclass_fields__, "bodies", "names_of_pairs", "_memory", "piece_pairs", "by_margin", "ruled")

@@ -1,4 +1,4 @@
-"""Remove the points on the robot, and on bodies that move with it, from a sensor's points."""
+"""Remove points on the robot, and on bodies that move with it, from a sensor's points."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries.pairs import collide
 
-# Boxes grow by the share ROUNDING of the lengths involved, far more than the rounding errors of their sides.
+# Boxes grow by the share ROUNDING of the lengths involved, which is far more than the rounding errors of their sides.
 ROUNDING = 1e-9
 
-# Balls are kept: a camera's loop passes the same distance in each frame, and making a ball takes as long as testing
+# Balls are cached, since a camera's loop passes the same distance in each frame. Making a ball takes as long as testing
 # thousands of points.
 _ball = functools.lru_cache(maxsize=8)(Body.sphere)
 
@@ -50,8 +50,8 @@ def off_the_robot(
     """Keep a sensor's points that are neither on the robot nor on a body that the robot carries.
 
     A point is removed if it is inside, or within `clear` of, a link's body or a body that is attached to a link. With
-    ``time``, points on a body of the scene that follows a motion are also removed, for the body's pose at that time.
-    All other points are kept; the test is exact.
+    ``time``, points on bodies of the scene that follow motions are also removed, with the bodies at their poses for
+    that time. All other points are kept; the test is exact.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def off_the_robot(
     q : array_like, shape (dof,)
         The configuration at which the points were measured.
     clear : float
-        Distance in metres, > 0. The distance has to exceed the sensor's noise and the error of the robot's own pose.
+        Distance in metres, > 0. It should exceed the sensor's noise and the error of the robot's pose.
     time : float, optional
         Time in seconds, on the clock of the scene's motions. By default, points on bodies that follow motions are kept.
     mask : bool
@@ -99,7 +99,7 @@ def off_the_robot(
     columns, ball = np.ascontiguousarray(flat.T), _ball(reach)
     for body, T in _moving(self, place, now):
         low, high = _box(body, T, reach)
-        # One coordinate after another, since most points are already outside the first range.
+        # Compare one coordinate after another, since most points are already outside the first range.
         near = np.flatnonzero(stays & (columns[0] >= low[0]) & (columns[0] <= high[0]))
         for k in (1, 2):
             near = near[(columns[k, near] >= low[k]) & (columns[k, near] <= high[k])]

@@ -79,7 +79,8 @@ class Verdicts(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        AMBIGUOUS if nothing could be proven; in mode EXACT, only if arithmetic could not settle the configuration.
+        AMBIGUOUS if nothing could be proven. In mode EXACT, a verdict is AMBIGUOUS only if arithmetic could not settle
+        the configuration.
     tiers : ndarray of int8, shape (N,)
         The costliest test that each configuration needed, as numbered in `codes`.
     """
@@ -116,7 +117,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
         )
 
     def share(first: int, last: int) -> None:
-        # Each call has its own counts: threads that write to the same memory slow each other down.
+        # Each call has its own counts, since threads that write to the same memory slow each other down.
         hits = np.zeros_like(ready.hits)
         run(first, last, hits)
         np.add(ready.hits, hits, out=ready.hits)
@@ -134,7 +135,7 @@ def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
 
 
 def free(ready: Problem, Q: Floats) -> Bools:
-    """Return which configurations, shape (N, dof), are proven free; an unsettled configuration counts as not free."""
+    """Return which configurations, shape (N, dof), are proven free; unsettled configurations do not count as free."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == codes.FREE)
 
 
@@ -145,7 +146,7 @@ def is_free(ready: Problem, q: Floats) -> bool:
 
 
 def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
-    """Return whether one motion is proven free at samples at most `step` apart; if unsettled, it counts as not free."""
+    """Return whether one motion is proven free at samples at most `step` apart; False if a sample is unsettled."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
         return bool(sampled(ready, a[None], b[None], step)[0][0] == codes.FREE)
@@ -197,7 +198,7 @@ def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
 
 
 def pair_verdicts(ready: Problem, T: Floats, off: Floats | None = None) -> NDArray[np.int8]:
-    """Compute the verdict of every pair at the poses T; AMBIGUOUS if unsettled, or if overflow distorts T.
+    """Compute the verdict of every pair at the poses T: AMBIGUOUS if it is unsettled, or if overflow distorts T.
 
     Margins are increased by `off`, shape (pairs,).
     """
@@ -226,7 +227,7 @@ def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bo
 
 
 def always(ready: Problem, Q: Floats) -> Bools:
-    """Return which pairs collide at all given configurations, shape (pairs,), as far as arithmetic settles them."""
+    """Return which pairs collide at all given configurations, shape (pairs,); unsettled pairs do not count."""
     colliding = np.ones(len(ready.pairs), dtype=bool)
     for _, poses in ready.poses_in_turn(Q):
         for T in poses:
@@ -247,7 +248,7 @@ def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) 
 
 
 def unsettled(ready: Problem, pair: int, q: Floats) -> str:
-    """Make the message for a pair that could not be settled at a configuration."""
+    """Return the message for a pair that could not be settled at a configuration."""
     a, b = (ready.names[k] for k in ready.pairs[pair])
     return (
         f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
@@ -267,7 +268,7 @@ def contacts(ready: Problem, q: Floats, t: float | None = None) -> tuple[tuple[C
 
 
 def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
-    """Compute lengths of motions, one motion at a time if the last bit decides the number of steps."""
+    """Compute the lengths of motions; if the last bit decides the number of steps, compute that motion alone."""
     motion_lengths = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):
@@ -278,7 +279,7 @@ def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
 
 
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
-    """Find the indices of AMBIGUOUS verdicts, fast if there is a single verdict."""
+    """Return the indices of AMBIGUOUS verdicts; there is a fast path for a single verdict."""
     if len(verdicts) == 1 and verdicts[0] != codes.AMBIGUOUS:
         return _NOWHERE
     return np.flatnonzero(verdicts == codes.AMBIGUOUS)

@@ -4,5 +4,5 @@
 inverse kinematics. `urdf`, `srdf`, `xacro_files`, `mjcf`, `drake` and `pinocchio` read robots; `exports` writes them.
 `link_bodies`, `link_meshes` and `coal_shapes` make bodies of links. `pair_verdicts` records whether each pair of links
 can ever collide, `watch` reports odd values, `other_models` converts configurations to and from the orders of other
-libraries, and `xml_elements` reads elements of XML and remembers their lines.
+libraries, and `xml_elements` reads XML elements with their line numbers.
 """

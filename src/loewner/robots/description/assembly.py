@@ -26,16 +26,16 @@ from loewner.robots.description.tree import constant_pose, placed_tree
 from loewner.robots.description.urdf import RATES, VALUES, Description, Joint
 from loewner.robots.description.watch import Watch
 
-# Largest number of corners of a footprint, since each side is compared with all other sides.
+# Maximum number of corners of a footprint. There is a limit because each side is compared with all other sides.
 MOST_CORNERS = 5_000
 
-# Relative difference up to which areas of a footprint count as equal, or an area as zero.
+# Relative tolerance for a footprint: smaller areas, distances and differences of areas count as zero.
 FLAT = 1e-9
 
-# A robot; its class is in a higher module.
+# The class of robots, which a higher module defines.
 R = TypeVar("R")
 
-# Attributes of robots with one number for each value of a configuration.
+# Attributes of a robot that contain one number for each value of a configuration.
 LIMITS = ("lower", "upper", "hard_lower", "hard_upper", *RATES)
 
 # Kinds of joints that need limits.
@@ -72,7 +72,7 @@ class Part(Generic[R]):
     Attributes
     ----------
     robot : Robot
-        The robot that was joined, at its pose in the world or, on a moving base, at its pose in the frame of the base.
+        The robot that was joined. Its pose is relative to the world or, on a moving base, relative to the base.
     columns : slice
         The columns of the part's values in a configuration of the joined robot: ``Q[..., part.columns]`` are
         configurations of `robot`, and assigning to these entries moves only this robot.
@@ -92,7 +92,7 @@ class Part(Generic[R]):
     columns: slice
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
-    # The tree that the pose of the joined robot moves; None on a base that moves.
+    # The part's tree before the joined robot is placed; None on a moving base.
     _tree: Tree | None = field(default=None, repr=False)
 
 
@@ -181,7 +181,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
     ------
     InputError
         If the bounds have the wrong shape, a lower bound is above the upper bound, or a name is taken. If `with_body`
-        has added a body in the world, which would move with the base.
+        has added a body to the world, since this body would move with the base.
     UnknownNameError
         If `kind` is unknown.
 
@@ -214,7 +214,7 @@ def add_base(self: R, kind: Literal["planar", "floating"], bounds: ArrayLike | N
 
 
 def footprint_body(polygon: ArrayLike, height: float) -> Body:
-    """Make the body of a footprint: the space above a polygon, as one piece if it is convex, otherwise as prisms.
+    """Make a prism over a polygon: one convex piece if the polygon is convex, otherwise a prism for each triangle.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
 
 
 def _is_simple(corners: Floats) -> bool:
-    """Return whether the sides of a polygon meet only at common corners; sides that come near count as meeting."""
+    """Return whether the sides of a polygon meet only at common corners; sides that nearly touch count as meeting."""
     ends, size = np.roll(corners, -1, axis=0), float(np.ptp(corners, axis=0).max())
     sides, count = ends - corners, len(corners)
     before = np.roll(sides, 1, axis=0)
@@ -308,8 +308,8 @@ def with_body(
     joint : str
         Kind of the joint.
     parent : str, optional
-        The link to which the joint belongs. Default: the world. Before you add a body in the world, place the robot or
-        add its base.
+        The link that carries the joint. Default: the world. Before you add a body to the world, place the robot or add
+        its base.
     axis : array_like, shape (3,)
         Axis along which the joint slides or about which it turns.
     limits : (float, float), optional
@@ -420,7 +420,7 @@ def with_moving_bodies(self: R, names: Sequence[str]) -> R:
 
 
 def refuse_bodies_in_world(robot: Any, what: str) -> None:
-    """Refuse to move a robot with bodies that `with_body` has added in the world, since they would stay behind."""
+    """Refuse to move a robot if `with_body` has added bodies to the world, since these bodies would stay behind."""
     for name in robot._in_world:
         raise InputError(
             f"expected a robot without bodies in the world, to be {what}, found {name!r}; call with_body afterwards"
@@ -434,7 +434,7 @@ def parts_of(robot: Any) -> Mapping[str, Part[Any]]:
 
 
 def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[Any]]:
-    """Place the parts of a joined robot that is placed as a whole."""
+    """Place the parts of a joined robot together with the robot."""
     return {
         name: part if part._tree is None else replace(part, robot=replace(part.robot, tree=placed_tree(part._tree, T)))
         for name, part in parts.items()
@@ -445,9 +445,9 @@ def placed_parts(parts: Mapping[str, Part[Any]], T: Floats) -> dict[str, Part[An
 
 
 class _Piece(NamedTuple):
-    """A robot that is combined with other robots: the prefix of its names, and the link to which its root is fixed.
+    """A robot to be combined with other robots, with the prefix of its names and the link that carries its root.
 
-    The root is fixed to the world if `on` is None, and left out if `without_root` is true.
+    If `on` is None, the root is fixed to the world. If `without_root` is true, the root is left out.
     """
 
     prefix: str
@@ -461,7 +461,7 @@ def _prefixed(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _chain(robot: Any, root: str, joints: Sequence[Joint]) -> Any:
-    """Make a robot of links without bodies from joints, each below the one before; each link has its joint's name."""
+    """Make a robot from a chain of joints; each link has no body, and the name of the joint above it."""
     links = [root, *(joint.name for joint in joints)]
     by_name = {one.name: replace(one, parent=above, child=one.name) for one, above in zip(joints, links, strict=False)}
     description = Description(root, Path(root), dict.fromkeys(links, ()), by_name, by_name, ())
@@ -470,7 +470,7 @@ def _chain(robot: Any, root: str, joints: Sequence[Joint]) -> Any:
 
 
 def _combined(pieces: Sequence[_Piece], name: str) -> Any:
-    """Make one robot of several."""
+    """Combine several robots into one."""
     robots = [piece.robot for piece in pieces]
     links = [n for p in pieces for n in _prefixed(p.prefix, p.robot.link_names[p.without_root :])]
     joints = [n for p in pieces for n in _prefixed(p.prefix, (*p.robot.joint_names, *p.robot.mimics))]
@@ -554,13 +554,13 @@ def _shifted(piece: _Piece, part: Part[Any], by: int) -> Part[Any]:
 
 
 def _tree(pieces: Sequence[_Piece], first_column: Sequence[int]) -> Tree:
-    """Put the trees of robots side by side, each on the link that carries it."""
+    """Join the trees of robots into one tree, each at the link that carries it."""
     trees: list[Tree] = []
     numbers: dict[str, int] = {}
     for piece, column in zip(pieces, first_column, strict=False):
         tree, above, count = piece.robot.tree, -1, len(numbers)
         if piece.on is not None:
-            # A link that is fixed is a frame of the first link of its rigid group.
+            # A fixed link is stored as a frame of the first link in its rigid group.
             above = numbers[piece.on]
             before = Tree(*(np.concatenate(arrays) for arrays in zip(*trees, strict=True)))
             if before.kind[above] == columns.FIXED:

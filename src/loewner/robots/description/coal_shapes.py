@@ -1,4 +1,4 @@
-"""Make bodies from Coal's shapes, through the given objects: Coal is not imported."""
+"""Make bodies from Coal's shapes. Coal is not imported; only the given objects are used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.robots.description.link_meshes import mesh_body
 
-# Least thickness of a terrain at its lowest points [m]; in Coal it may be zero.
+# Minimum thickness of a terrain at its lowest points [m]. In Coal, the thickness may be zero.
 LEAST_DEPTH = 1e-6
 
 # Functions that make a body from a shape and the radius of its swept sphere.
@@ -27,7 +27,7 @@ PRIMITIVES: dict[str, Callable[[Any, float], Body]] = {
 
 
 def coal_body(shape: Any, meshes: str, tol: float) -> Body:
-    """Make the body of a shape of Coal, which stores half lengths.
+    """Make the body of a Coal shape; Coal stores half lengths.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def coal_body(shape: Any, meshes: str, tol: float) -> Body:
 
 
 def _terrain(shape: Any) -> Body:
-    """Make a height field: in Coal, rows are along -y, and columns are along x."""
+    """Make the body of a height field. In Coal, the row index increases along -y, and the column index along x."""
     x, y, heights = shape.getXGrid(), shape.getYGrid(), np.array(shape.getHeights())
     corner = np.eye(4)
     corner[:2, 3] = x[0], y[-1]

@@ -1,4 +1,4 @@
-"""Read robots from Drake's MultibodyPlant and SceneGraph, through the given objects: Drake is not imported."""
+"""Read robots from Drake's MultibodyPlant and SceneGraph. Drake is not imported; only the given objects are used."""
 
 from __future__ import annotations
 
@@ -102,13 +102,13 @@ def _joints(
 
 
 def _names(plant: Any, elements: Sequence[Any]) -> list[str]:
-    """Return the names of bodies or joints, with the name of the model instance if a name occurs twice."""
+    """Return the names of bodies or joints; names that occur twice are prefixed with their model instances."""
     scopes = [plant.GetModelInstanceName(element.model_instance()) for element in elements]
     return unique([element.name() for element in elements], scopes)
 
 
 def _moves(plant: Any, joint: Any, name: str) -> Iterator[Move]:
-    """List the joints with one value, or the floating joint, that represent a joint of Drake, with their columns."""
+    """List one-value joints, or the floating joint, that represent a Drake joint, with the columns of their values."""
     kind = joint.type_name()
     lower, upper = joint.position_lower_limits(), joint.position_upper_limits()
     rates = (
@@ -138,7 +138,7 @@ def _moves(plant: Any, joint: Any, name: str) -> Iterator[Move]:
         yield single("/theta", "revolute", Z, 2)
     elif kind == "universal":
         yield from (single("/qx", "revolute", X, 0), single("/qy", "revolute", Y, 1))
-    elif kind in ("ball_rpy", "rpy_floating"):  # the rotation is Rz Ry Rx; limits are for the angular velocity
+    elif kind in ("ball_rpy", "rpy_floating"):  # the rotation is Rz Ry Rx; rates are limits of the angular velocity
         if kind == "rpy_floating":
             yield from (single(f"/{'xyz'[k]}", "prismatic", axis, 3 + k) for k, axis in enumerate((X, Y, Z)))
         yield from (single(f"/q{'xyz'[k]}", "revolute", (X, Y, Z)[k], k, rated=False) for k in (2, 1, 0))
@@ -180,7 +180,7 @@ def _shapes(plant: Any, inspector: Any, links: Mapping[int, str], tol: float) ->
 
 
 def _body(inspector: Any, geometry: Any, tol: float) -> Body:
-    """Make the body of one geometry; Drake collides with the convex hulls of meshes."""
+    """Make the body of one geometry. Drake replaces meshes with their convex hulls."""
     shape, hull = inspector.GetShape(geometry), inspector.GetConvexHull(geometry)
     kind = type(shape).__name__
     if kind in PRIMITIVES:

@@ -36,7 +36,7 @@ ONE_VALUE = (columns.REVOLUTE, columns.PRISMATIC)
 
 
 def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> None:
-    """Write the meshes of a robot, then its URDF next to them, and an SRDF with the same stem.
+    """Write a robot's URDF, its mesh files next to the URDF, and an SRDF with the same stem.
 
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """
@@ -56,7 +56,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> N
                 srdf = _semantics(robot, (), "")
             else:
                 # Without any rule, adjacent links would be exempt. Write a rule that exempts no pair that could
-                # collide: for a link without a body, or for the only link.
+                # collide: a rule for a link without a body, or for the only link.
                 srdf = _semantics(robot, listed, "" if listed else top or (*bare, *robot.link_names)[0])
             read_srdf(semantics, described, srdf)
     except LoewnerError as error:
@@ -70,7 +70,7 @@ def save_urdf(robot: Any, path: Path, mesh_prefix: str, wider: float = 0.0) -> N
 
 
 def _expect_plain_names(stem: str, robot: Any) -> None:
-    """Refuse names that readers would change: they strip spaces, and xacro evaluates expressions."""
+    """Refuse names that readers would change, since readers strip spaces, and xacro evaluates expressions."""
     of_robot = (*robot.link_names, *robot.joint_names, *robot.mimics, *robot.groups, *robot.states)
     for name in (stem, robot.name, *of_robot):
         if not name.isprintable() or name != name.strip() or "$" in name:
@@ -102,7 +102,7 @@ def _description(
 
 
 def _top(robot: Any, *, needed: bool) -> str | None:
-    """Return the name of a new root link, which is the world; None if the robot's own root link can be the root."""
+    """Return the name of a new root link that represents the world, or None if the robot's own root link suffices."""
     roots = [link for link in robot.link_names if robot._above.get(link, ("", None))[1] is None]
     if not needed and len(roots) == 1 and np.array_equal(constant_pose(robot.tree.constants[0]), np.eye(4)):
         return None
@@ -134,7 +134,7 @@ def _stays_solid(mesh: Mesh) -> bool:
 
 
 def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
-    """List the joints in the form of URDF, in the order of the links below them."""
+    """List the joints as in a URDF, in the order of their child links."""
     tree, number = robot.tree, {name: k for k, name in enumerate(robot.link_names)}
     driven = {at.start: name for name, at in robot._columns.items()}
     taken = {*robot.joint_names, *robot.mimics}
@@ -143,7 +143,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
         if parent is None and top is None:
             continue
         kind = int(tree.kind[k])
-        if kind == columns.FIXED:  # robots have no names for fixed joints
+        if kind == columns.FIXED:  # a fixed joint's name may be missing or taken
             name = _validate.unused(name or child, taken)
             taken.add(name)
         if kind not in NAMES:
@@ -165,7 +165,7 @@ def _joints(robot: Any, top: str | None) -> Iterator[Joint]:
 def _pose_and_axis(constants: Floats, kind: int, offset: float) -> tuple[Floats, Floats]:
     """Return the pose of a joint, and its axis in its own frame; see `tree.tree_of`.
 
-    In MJCF, the child of a joint may be at the joint's origin at a value other than 0; `offset` is the difference.
+    In MJCF, the value of a joint at its origin may differ from 0; `offset` is minus this value.
     """
     pose, axis = constant_pose(constants), np.array([1.0, 0.0, 0.0])
     if kind == columns.PRISMATIC:
@@ -197,7 +197,7 @@ def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
 
 
 def _refuse_bounds(robot: Any, name: str) -> None:
-    """Refuse limits of a planar or floating joint, which URDF does not have."""
+    """Refuse limits of a planar or floating joint, since URDF cannot express them."""
     values = robot._columns[name]
     first = slice(values.start, values.start + 3)  # the quaternion of a floating joint follows
     if np.isfinite([robot.lower[first], robot.upper[first]]).any():
@@ -236,7 +236,7 @@ def mjcf_text(robot: Any, wider: float) -> str:
     Shapes other than spheres and meshes are enlarged by `wider` [m] on each side.
     """
     root = ElementTree.Element("mujoco", model=robot.name)
-    # Links without shapes need some mass, since MuJoCo refuses to move bodies without any.
+    # Links without shapes need some mass, since MuJoCo refuses moving bodies without mass.
     ElementTree.SubElement(root, "compiler", angle="radian", boundmass="1e-3", boundinertia="1e-6")
     # Parents and children are checked as well, unless they are among the excluded pairs.
     ElementTree.SubElement(ElementTree.SubElement(root, "option"), "flag", filterparent="disable")

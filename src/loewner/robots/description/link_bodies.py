@@ -1,4 +1,4 @@
-"""Make bodies, in the frames of their links, from collision shapes of a URDF; fits of meshes are kept on disk."""
+"""Make the bodies of links from the collision shapes of a URDF; bodies of meshes are cached on disk."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ from loewner.robots.description.urdf import Description, Shape
 # glTF files may keep their points in other files, so their own bytes do not determine their content.
 NOT_CACHED = (".gltf", ".glb")
 
-# Representations of a link's mesh, and the default. A mesh becomes its convex hull, convex pieces, its triangles, or
-# the choice of `link_meshes.hull_or_solid` between the hull and the solid that the mesh encloses.
+# Representations of a link's mesh, and the default. "hull" is the convex hull, "pieces" are convex pieces, and
+# "surface" are the triangles. For "auto", `link_meshes.hull_or_solid` chooses between the hull and the solid that the
+# mesh encloses.
 MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)
 USUAL_MODEL: Final = "auto"
 
-# Folders and modules that make a body from a mesh file, apart from the kernels.
+# Folders and modules, besides the kernels, with the code that makes a body from a mesh file.
 _MAKERS = (
     "_base", "meshes", "ellipsoids", "bodies", "robots/description/link_bodies.py", "robots/description/link_meshes.py",
 )  # fmt: skip
@@ -80,7 +81,7 @@ def link_bodies(
     bodies : dict
         The body of each link.
     shapes : dict
-        Descriptions of the bodies of each link's collision shapes.
+        Descriptions of the bodies that represent each link's collision shapes.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def _body(shape: Shape, link: str, urdf: Path, folders: Sequence[Path], fit: Cal
 
 
 def _kept_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
-    """Load the body of a mesh from the disk or, if it is not there, make it and keep it there."""
+    """Load the body of a mesh from the cache on disk, or make the body and add it to the cache."""
     if file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
         return _mesh_body(file, shape, model, tol)
     key = _key(file, shape, model, tol)
@@ -210,7 +211,7 @@ def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
 
 
 def _union(parts: list[Body]) -> Body:
-    """Make one body from all shapes of a link, with the covering of their meshes."""
+    """Unite the bodies of a link's shapes, and combine the coverings of the meshes."""
     body = Body.union(parts)
     coverings = [part.covering for part in parts if part.covering is not None]
     if not coverings:
@@ -267,7 +268,7 @@ def _homes(urdf: Path) -> list[Path]:
 
 
 def _expect_one(shape: Shape, link: str, urdf: Path, places: Iterable[Iterable[Path]]) -> None:
-    """Refuse a name that means different files next to a symbolic link to a URDF and next to the link's target."""
+    """Refuse a mesh name that means one file next to a symbolic link to a URDF, and another next to its target."""
     paths = [path for path in (next(filter(os.path.isfile, listed), None) for listed in places) if path is not None]
     if len(paths) == 2 and not filecmp.cmp(paths[0], paths[1], shallow=False):
         raise FileError(

@@ -23,15 +23,15 @@ from loewner.meshes.protrusion import Solid, protrusions
 # diameter.
 NEAR, NEAR_SHARE = 1e-3, 0.01
 
-# Relative accuracy of bounds, so coarse that a hull is examined no further once it is found to stick out too far. No
+# Relative accuracy of bounds. It is so coarse that the search ends as soon as a hull is found to stick out too far. No
 # bound exceeds a distance by this factor, and no distance times this factor overflows.
 AT_ONCE = 1e12
 
-# A part that encloses less than the share NO_INSIDE of the cube of the mesh's diameter has no inside. This volume is
-# far above rounding errors.
+# A part has no inside if its volume is less than NO_INSIDE times the cube of the mesh's diameter. This limit is far
+# above rounding errors.
 NO_INSIDE = 1e-12
 
-# Bodies of meshes that are not closed, as `described` and the warning name them.
+# Names of the bodies of open meshes, in `described` and in the warning.
 OPEN_HULL, CAPPED = "hull of an open mesh", "solid of a nearly closed mesh"
 OPENED = {CAPPED: "nearly closed, whose holes were closed", OPEN_HULL: "open, whose hulls were taken"}
 
@@ -39,7 +39,7 @@ Choice = Literal["hull", "solid", "open"]
 
 
 def mesh_body(mesh: Any, model: str, tol: float) -> Body:
-    """Make a body, in one of the representations `link_bodies.MODELS`, of a mesh that `Body.from_mesh` accepts."""
+    """Make a body from a mesh that `Body.from_mesh` accepts, in one of the representations `link_bodies.MODELS`."""
     if model == "surface":
         return Body.from_surface(mesh)
     if model != "auto":
@@ -56,7 +56,7 @@ def mesh_body(mesh: Any, model: str, tol: float) -> Body:
 
 
 def described(body: Body) -> str:
-    """Describe in a few words the body that a mesh has become; the words before the first comma name its kind."""
+    """Describe the body of a mesh in a few words; the words before the first comma name the kind of body."""
     first, covering = body.pieces[0], body.covering
     if first.triangles is not None and first.kind in ("surface", "solid"):
         kind = "surface without an inside" if first.kind == "surface" else "solid" if covering is None else CAPPED
@@ -70,7 +70,7 @@ def described(body: Body) -> str:
 
 
 def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
-    """Warn once about all meshes that have no inside in their present form, by name.
+    """Warn once about all meshes that are not closed, by name.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     named : iterable of (str, str)
         Names of meshes, and the results of `described`.
     instead : str
-        The option that keeps triangles without change.
+        The option that keeps the triangles unchanged.
     """
     names_by_kind: dict[str, list[str]] = {kind: [] for kind in OPENED}
     for name, words in named:
@@ -93,7 +93,7 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
 
 
 def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floats, Ints], int]:
-    """Choose between the hull and the solid of a mesh: a hull can be much larger, and an open mesh has no inside.
+    """Choose between a mesh's hull, which can be much larger than the mesh, and the solid that the mesh encloses.
 
     Parameters
     ----------
@@ -103,11 +103,13 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
     Returns
     -------
     choice : {"hull", "solid", "open"}
-        "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most `NEAR_SHARE`.
-        "solid": the mesh is closed, but its hull is not proven to be so close. "open": the mesh has no inside.
+        "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most the share
+        `NEAR_SHARE` of the diameter. "solid": the mesh is closed, but its hull is not proven to be so close. "open":
+        the mesh has no inside.
     mesh : tuple of ndarray
-        Vertices and triangles, closed if the mesh was nearly closed. Each closed part is turned outward, except for
-        cavities: a part is a cavity of a larger part if all of its tested points lie in the larger part.
+        Vertices and triangles; holes of a nearly closed mesh have been closed. The triangles of each closed part face
+        outward, unless the part is a cavity. A part is a cavity of a larger part if all of its tested points lie in the
+        larger part.
     edges : int
         The number of edges at which the mesh was open.
     """
@@ -131,7 +133,7 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
 
 
 def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
-    """Find the edges that triangles traverse more often from `start` to `end` than back, once per excess traversal."""
+    """Find edges that triangles traverse more often from `start` to `end` than back; repeat each for every surplus."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = int(triangles.max()) + 1
     edge, of = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
@@ -142,7 +144,7 @@ def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
 
 
 def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[Floats, Ints]:
-    """Close a mesh by triangles from each connected part of its boundary to the middle of that part.
+    """Close a mesh with triangles from each connected part of its boundary to the middle of that part.
 
     The boundary leaves each vertex as often as it enters the vertex, so the new triangles close the mesh. The new
     triangles lie in the hull of the mesh, and the mesh's own triangles remain.
@@ -157,7 +159,7 @@ def _capped(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> tuple[
 
 
 def _has_inside(vertices: Floats, part: ClosedPart, least: float) -> bool:
-    """Return whether a closed part has a volume, or is flat and needs no volume; a two-sided sheet has no inside."""
+    """Return whether a closed part has a volume or is flat; a curved sheet with two sides has no inside."""
     if part.volume > least:
         return True
     try:

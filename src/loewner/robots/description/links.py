@@ -22,8 +22,8 @@ from loewner.robots.description.xml_elements import LARGEST
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating", "ball"]
 
-# For joints with several values, the number of values that have limits: two positions and an angle, or a position
-# without its quaternion.
+# For joints with several values, the number of values that have limits: x, y and the angle of a planar joint, and the
+# position of a floating joint.
 LIMITED_VALUES = {"planar": 3, "floating": 3}
 
 
@@ -105,7 +105,7 @@ def described(
     _validate.mapping(links, "links", "from names to bodies", 1)
     bodies = {link: body for link, shapes in links.items() if (body := _body(link, shapes)) is not None}
     listed = _validate.listed(joints, "joints", wanted="a list of loewner.Joint")
-    names = dict.fromkeys(links)  # in order; links for frames of joints follow
+    names = dict.fromkeys(links)  # in order; links for frames of joints are appended
     joints_by_name: dict[str, urdf.Joint] = {}
     above: dict[str, urdf.Joint] = {}
     for joint in listed:
@@ -156,9 +156,9 @@ def _body(link: Any, shapes: Any) -> Body | None:
 
 
 def checked_joint(joint: Joint, of: str) -> tuple[urdf.Joint, Floats | None]:
-    """Check one joint; return it with the pose of its child in the joint's frame, None for the identity.
+    """Check one joint; return it, and the pose of its child in the joint's frame (None for the identity).
 
-    Messages name an attribute followed by `of`.
+    In messages, `of` follows the name of an attribute.
     """
     kind = _validate.choice(joint.kind, f"kind{of}", VALUES)
     origin = _pose(joint.T_parent_joint, f"T_parent_joint{of}")
@@ -187,7 +187,7 @@ def checked_joint(joint: Joint, of: str) -> tuple[urdf.Joint, Floats | None]:
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
-    """Check a pose that is multiplied by other poses: the products must not overflow."""
+    """Check a pose, and refuse numbers with which products of poses could overflow."""
     pose = _validate.pose(T, name)
     if np.abs(pose).max() > LARGEST:
         raise InputError(f"{name}: expected numbers within ±{LARGEST:g}, found {np.abs(pose).max():g}")

@@ -46,7 +46,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
-    """Return the keyframes as states, and the pairs of links that MuJoCo skips as disabled pairs."""
+    """Return the keyframes as states; the pairs of links that MuJoCo skips become disabled pairs."""
     states, theirs = {}, qpos_columns(robot)
     uncoupled = []
     for name, qpos in model.keyframes.items():
@@ -73,8 +73,8 @@ def qpos_columns(robot: Description) -> dict[str, tuple[int, ...]]:
 def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
     """List the joints between a body and its parent, starting at the parent.
 
-    Hinges and balls turn about their anchor. The link below such a joint therefore has its origin at the anchor, and
-    the next frame is moved back.
+    Hinges and balls turn about their anchors. The link below such a joint therefore has its origin at the anchor, and
+    the next frame is shifted back.
     """
     T_above_body = body.T_parent_body  # the body's frame so far, relative to the last link
     if body.joints and body.joints[0].kind == "free":  # the joint's values are the pose in the world

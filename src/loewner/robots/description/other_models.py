@@ -1,4 +1,4 @@
-"""Make robots from other libraries' models: make bodies of their shapes, and convert their configurations."""
+"""Make robots from models of other libraries, and convert configurations to and from the order of such a model."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ class Layout(KeepsReadOnly):
     own : ndarray, shape (dof,)
         For each of the robot's columns, the column of the model that equals it.
     turning : ndarray, shape (k, 3)
-        The robot's columns that the model represents by a cosine and a sine, and the model's columns of the cosine and
-        the sine.
+        One row for each angle that the model represents by a cosine and a sine: the robot's column, then the model's
+        columns of the cosine and of the sine.
     """
 
     names: tuple[str, ...]
@@ -115,7 +115,7 @@ class Layout(KeepsReadOnly):
         return np.asarray(self.factors * padded[..., self.source])
 
     def imported(self, q: Floats, tolerance: float) -> Floats:
-        """Convert the model's configurations, shape (..., width), to the robot's; they must satisfy the couplings."""
+        """Convert the model's configurations, shape (..., width), to the robot's order; the couplings must hold."""
         Q = q[..., self.own]
         for column, cosine, sine in self.turning.tolist():
             Q[..., column] = _elementary.arctan2(q[..., sine], q[..., cosine])
@@ -137,7 +137,7 @@ def layout_of(order: Order, robot: Any, references: Mapping[str, float]) -> Layo
     order : Order
     robot : Robot
     references : mapping
-        Maps each joint whose value is not 0 at the tree's 0 to that value.
+        Maps a joint to its value in the model at which the tree's value is 0. Other joints have the value 0 there.
     """
     dof, tree = robot.dof, robot.tree
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)
@@ -166,7 +166,7 @@ def layout_of(order: Order, robot: Any, references: Mapping[str, float]) -> Layo
 def chained(
     moves: Sequence[Move], parent: str, child: str, T_parent_joint: Floats, T_joint_child: Floats
 ) -> Iterator[Move]:
-    """Connect two links by joints, one after another, that together represent one joint of a model."""
+    """Connect two links by a chain of joints that together represent one joint of a model."""
     before = T_parent_joint
     for number, (move, theirs) in enumerate(moves, 1):
         below, behind = (child, T_joint_child) if number == len(moves) else (f"{child}/{move.name}", None)
@@ -184,7 +184,7 @@ def made_body(make: Callable[[], Body], what: str) -> Body:
 
 
 def with_shapes(model: Model) -> tuple[dict[str, list[tuple[Body, Floats]] | None], list[Joint], list[Pair]]:
-    """Assign to links the shapes of a model whose rules on pairs apply to shapes instead of links.
+    """Assign a model's shapes to links, so that rules about pairs of shapes become rules about pairs of links.
 
     Shapes of a link are grouped by the other shapes against which they are checked: the first group becomes the link's
     body, and each further group becomes a link fixed to it. Each shape of the first link, the world, becomes a separate
@@ -237,7 +237,7 @@ def warn_of_fixed_contacts(model: Model, robot: Any) -> None:
 
 
 def unique(names: Sequence[str], scopes: Sequence[str]) -> list[str]:
-    """Return unique names: a name that occurs twice gets its scope, and underscores if the scope is not enough."""
+    """Return unique names: a name that occurs twice gets its scope as a prefix, then underscores if necessary."""
     unique_names: list[str] = []
     for name, scope in zip(names, scopes, strict=True):
         candidate = name if names.count(name) == 1 else f"{scope}::{name}"

@@ -1,4 +1,4 @@
-"""Hold the answers to whether pairs of bodies can ever collide, and write them as SRDF rules."""
+"""Represent answers about whether pairs of bodies can ever collide, and write the answers as SRDF rules."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Terms(NamedTuple):
     only_free: bool = False
 
 
-# Reasons that MoveIt's setup assistant writes, for verdicts that exempt a pair.
+# For each verdict that exempts a pair, the reason in the words of MoveIt's setup assistant.
 REASONS = {PairVerdict.NEVER: "Never", PairVerdict.ALWAYS: "Always"}
 
 
@@ -78,8 +78,8 @@ class ProvenPair(_validate.Brief):
         A configuration at which the bodies have this distance; values on which the pair does not depend are as in
         `Robot.configuration`.
     colliding, free : ndarray, shape (dof,), or None
-        A configuration at which the bodies are within the margin, as `CollisionChecker.collide` confirms, and a
-        configuration at which they are not.
+        At ``colliding``, the bodies are within the margin, as `CollisionChecker.collide` confirms. At ``free``, the
+        bodies are not within the margin.
     boxes : int
         The number of boxes of configurations that were examined.
     share : float
@@ -114,7 +114,7 @@ class ProvenPair(_validate.Brief):
 
 @dataclass(frozen=True, eq=False)
 class ProvenPairs:
-    """Answers to which pairs of bodies can ever collide, as a sequence of `ProvenPair`.
+    """Answers about which pairs of bodies can ever collide, as a sequence of `ProvenPair`.
 
     Attributes
     ----------
@@ -123,9 +123,8 @@ class ProvenPairs:
     rows : tuple of ProvenPair
         One row per pair, sorted by names.
     rigid : tuple of pairs of str
-        The requested pairs whose bodies are on the same rigid part of the robot. Such pairs are never checked. A link
-        and a body of the scene without a joint between them are not among these pairs: they have a row with an empty
-        range.
+        The requested pairs whose bodies are on the same rigid part of the robot. Such pairs are never checked. If a
+        link and a body of the scene have no joint between them, their pair has a row with an empty range instead.
     proof : Proof or None
         A proof of all rows, if all are NEVER, for other programs to verify; None if no proof was requested.
 
@@ -232,7 +231,7 @@ class ProvenPairs:
             f'reason="{REASONS[row.verdict]}"/>  <!-- proven: {row.range_text.replace("--", "- -")} -->\n'
             for row in new
         )
-        # The last end tag outside comments.
+        # Find the last end tag outside comments.
         at = re.sub(r"<!--.*?-->", lambda comment: " " * len(comment[0]), before, flags=re.DOTALL).rindex("</robot")
         after = before[:at] + lines.replace("\n", "\r\n" if "\r\n" in before else "\n") + before[at:]
         if not {frozenset(row.names) for row in new} <= _listed(target, after):
@@ -257,7 +256,7 @@ def _srdf(path: Path, robot: str) -> tuple[str, set[frozenset[str]]]:
 
 
 def _listed(path: Path, text: str) -> set[frozenset[str]]:
-    """Return the pairs that the text of an SRDF lists, including pairs to check."""
+    """Return all pairs in the text of an SRDF: pairs that are exempt from checking, and pairs to check."""
     root = read_xml(path, "an SRDF", text.removeprefix("\ufeff"))
     elements = [*root.all("disable_collisions"), *root.all("enable_collisions")]
     return {frozenset((one.attributes.get("link1", ""), one.attributes.get("link2", ""))) for one in elements}

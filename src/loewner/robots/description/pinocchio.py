@@ -1,4 +1,4 @@
-"""Read robots from pinocchio's models, through the given objects: neither pinocchio nor Coal is imported."""
+"""Read robots from pinocchio's models. Neither pinocchio nor Coal is imported; only the given objects are used."""
 
 from __future__ import annotations
 
@@ -68,10 +68,10 @@ def pinocchio_model(model: Any, geometry_model: Any, meshes: str, tol: float) ->
 
 
 def _links(model: Any) -> tuple[dict[int, str], dict[int, str]]:
-    """Name the links of body frames, keyed by the numbers of the frames, and the links that joints move.
+    """Return the names of the links of body frames, keyed by frame number, and of the links that joints move.
 
-    A joint moves the first body that has the joint's frame. A joint without such a body, like the world, moves a link
-    with the joint's name.
+    A joint moves the first body whose frame is the joint's frame. If there is no such body, as for the world, the joint
+    moves a link with the joint's name.
     """
     bodies = [k for k, frame in enumerate(model.frames) if frame.type.name == "BODY"]
     of_body = dict(zip(bodies, unique([model.frames[k].name for k in bodies], ["BODY"] * len(bodies)), strict=True))
@@ -130,7 +130,7 @@ def _moves(model: Any, joint: Any, name: str) -> Iterator[Move]:
     elif kind == "JointModelTranslation":
         yield from (single(f"/{'xyz'[k]}", "prismatic", axis, k) for k, axis in enumerate((X, Y, Z)))
     elif kind == "JointModelPlanar":
-        # Velocity limits of a planar joint are for the axes that turn with the child.
+        # A planar joint's velocity limits apply to axes that turn with the child.
         yield from (single(f"/{'xy'[k]}", "prismatic", axis, k, rated=False) for k, axis in enumerate((X, Y)))
         turn, _ = single("/theta", "revolute", Z, 2, limited=False)
         yield turn, (q + 2, q + 3)
@@ -154,7 +154,7 @@ def _moves(model: Any, joint: Any, name: str) -> Iterator[Move]:
 
 
 def _screw(model: Any, joint: Any) -> tuple[Floats, Floats]:
-    """Return the velocity and the angular velocity of a joint with one value, at the rate 1."""
+    """Return the velocity and the angular velocity of a joint with one value, at a rate of 1."""
     data = joint.createData()
     joint.calc(data, np.eye(1, model.nq, joint.idx_q)[0])  # `calc` reads beyond the end of shorter arrays
     motion = np.asarray(data.S, dtype=np.float64).reshape(6)

@@ -19,15 +19,15 @@ from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner.errors import InputError
 
-# The search for a pose starts from the answer for the previous pose, unless the pose is the first of a chain. With more
-# seeds, chains are shorter, so that an interrupt does not wait long.
+# Poses are divided into chains. After the first pose of a chain, each search also starts from the previous answer. A
+# chain has at most CHAINED poses. With many seeds, it has fewer poses, so that an interrupt does not wait long.
 CHAINED, SEEDS_OF_A_CHAIN = 64, 2**14
 
-# Largest number of seeds, and largest size of a table of seeds that is kept.
+# Maximum number of seeds, and maximum number of seeds in a table that is cached.
 MOST_SEEDS, KEPT = 2**16, 1024
 
-# Largest length or value: the square of the product of two such numbers does not overflow. If errors were not finite,
-# the kernel's search would not end.
+# Largest length or value. The square of the product of two such numbers does not overflow. If errors were infinite, the
+# kernel's search would not end.
 LARGEST = 1e50
 
 # If the first solution is not free, FEW solutions are tried; if they are not free either, all seeds are tried.
@@ -100,7 +100,7 @@ class Chain(NamedTuple):
     usual : ndarray, shape (2, K)
         Finite limits within which seeds are sampled.
     kept : dict
-        Values derived from the chain: tables of seeds, keyed by the number of seeds.
+        Cached tables of seeds, keyed by the number of seeds.
     """
 
     links: Ints
@@ -127,7 +127,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
     moves : ndarray of bool, shape (dof,)
         Columns of the joints that may move.
     limits, usual : ndarray, shape (2, dof)
-        Limits of the values, infinite where there is none, and finite limits for seeds.
+        Limits of the values, which are infinite for values without limits, and finite limits for seeds.
     """
     path = links_above(tree, link)[::-1]
     kinds, firsts = tree.kind[path], tree.column[path]
@@ -229,7 +229,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Floats:
 
 
 def targets_of(T: Floats) -> Floats:
-    """Make rotations of poses, which may be off by `tolerances.ROTATION_TOLERANCE`, orthonormal up to rounding."""
+    """Make rotations of poses orthonormal up to rounding; they may be off by `tolerances.ROTATION_TOLERANCE`."""
     for _ in range(3):
         R = T[..., :3, :3]
         square = product(R.swapaxes(-1, -2), R)
@@ -250,7 +250,7 @@ def refuse_far(chain: Chain, T: Floats, starts: Floats) -> None:
 
 
 def refuse_unsteady(chain: Chain, link: str) -> None:
-    """Refuse moving joints with a quaternion, whose values do not change along straight lines."""
+    """Refuse moving joints with a quaternion, since quaternions do not change along straight lines."""
     moves, kinds = chain.links[:, columns.MOVES_OF_LINK], chain.links[:, columns.KIND_OF_LINK]
     if moves[kinds >= columns.FLOATING].any():
         raise InputError(
@@ -260,7 +260,7 @@ def refuse_unsteady(chain: Chain, link: str) -> None:
 
 
 class Answers(NamedTuple):
-    """The kernel's results for each pose: distinct solutions, their number, and the first solution or nearest try."""
+    """The kernel's results for each pose: distinct solutions, their number, and the first solution or best attempt."""
 
     solutions: Floats
     counts: Ints
@@ -279,7 +279,8 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
     The search begins at the point within the limits that is nearest to the start.
     """
-    # The kernel keeps its steps within the limits, but takes the start as it is; a held value has no limits.
+    # The kernel keeps its steps within the limits, but does not move the start into the limits. A held value has no
+    # limits.
     starts = starts.clip(chain.ranges[columns.LEAST], chain.ranges[columns.MOST])
     count, values = len(T), len(chain.columns)
     _validate.fits_memory(8 * count * (most + 1) * (values + 3), f"{most} solutions for each of {count} poses")
@@ -298,7 +299,7 @@ def solve(chain: Chain, T: Floats, starts: Floats, seeds: Floats, most: int, tol
 
 
 class Solutions(NamedTuple):
-    """All solutions, with the index of the pose and whether each is free, in the order of `Reached.solutions`."""
+    """All solutions in the order of `Reached.solutions`, each with the index of its pose and whether it is free."""
 
     Q: Floats
     poses: Ints

@@ -62,7 +62,7 @@ MANY_LINKS = 30
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
 LEAST_SHARE = 1024
 
-# Formats of files that describe the shapes of links: `Robot.with_cover` and `save_cover`.
+# Formats of files that describe the shapes of links; see `Robot.with_cover` and `Robot.save_cover`.
 CoverFormat = Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"]
 
 # Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers. The modules `pair_ranges`, `covers`
@@ -192,7 +192,8 @@ class Robot(KeepsReadOnly):
     urdf: Path
     package_dirs: tuple[Path, ...]
     _columns: dict[str, slice]
-    # The joint above each link except roots ("" if the joint has no name), and the link's parent (None for the world).
+    # Maps each link except roots to the joint above it ("" if the joint has no name) and its parent (None for the
+    # world).
     _above: dict[str, tuple[str, str | None]]
     # Links that have only visual geometry; messages name them.
     _only_visual: tuple[str, ...]
@@ -201,7 +202,7 @@ class Robot(KeepsReadOnly):
     _rooted: Tree
     # The descriptions from which the robot and its parts were read.
     _sources: tuple[Source, ...]
-    # Whether an SRDF or an MJCF has rules on pairs. With rules, no adjacent pair is exempt by default.
+    # Whether an SRDF or an MJCF has rules about pairs. With rules, no adjacent pair is exempt by default.
     _ruled: bool
     # The robots that were joined, by name.
     _parts: dict[str, Part[Robot]] = field(default_factory=dict)
@@ -506,7 +507,7 @@ class Robot(KeepsReadOnly):
     @classmethod
     @guarded
     def footprint(cls, polygon: ArrayLike, *, height: float, bounds: ArrayLike | None = None) -> Robot:
-        """Make a mobile base that slides and turns on the plane z = 0: a polygon with a height.
+        """Make a mobile base from a polygon with a height; the base slides and turns on the plane z = 0.
 
         Parameters
         ----------
@@ -806,7 +807,7 @@ class Robot(KeepsReadOnly):
         return scene_of(self, dict(zip(self.link_names, poses, strict=True)))
 
     def to_urdf(self, path: str | os.PathLike[str], *, mesh_prefix: str = "") -> None:
-        """Write the robot as a URDF, with an SRDF with the same stem, for other programs and for `from_urdf`.
+        """Write the robot as a URDF and an SRDF with the same stem, for other programs and for `from_urdf`.
 
         Together, the two files describe the robot's kinematics, limits, rates, groups, states and shapes, up to the
         rounding of poses. A `CollisionChecker` of the robot that is read from both files checks the same pairs. A root
@@ -1072,7 +1073,7 @@ class Robot(KeepsReadOnly):
         pairs : iterable of pairs of str, optional
             Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`. At
             least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
-            or all pairs of links with bodies if neither has rules on pairs.
+            or all pairs of links with bodies if neither has rules about pairs.
         margin : float
             Distance in metres within which bodies count as in contact; larger margins of the scene still apply.
         limits : mapping from str to (float, float), optional
@@ -1108,7 +1109,7 @@ class Robot(KeepsReadOnly):
             follows a motion. With `proof`, also if a row is not NEVER, or if the format cannot express the model or the
             proof within 5 MB.
         ConvergenceError
-            With `proof`, if a pair comes so near to its margin that the format cannot express a proof.
+            With `proof`, if a pair comes so close to its margin that the format cannot express a proof.
 
         See Also
         --------
@@ -1151,7 +1152,7 @@ class Robot(KeepsReadOnly):
         joints : str or iterable of str
             The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
             where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box.
-            Each end of the box is at the same fraction of the way from the configuration to the value's limit.
+            Every end of the box is at the same fraction of the way from the configuration to the value's limit.
         about : array_like, shape (dof,), optional
             The configuration about which the range extends; values that are not in `joints` stay fixed. Default:
             `configuration()`.
@@ -1283,7 +1284,7 @@ class Robot(KeepsReadOnly):
     def with_cover(self, path: str | os.PathLike[str], format: CoverFormat | None = None) -> Robot:
         """Return the same robot with link bodies that are read from a file, for instance a planner's spheres.
 
-        The pairs that the file ignores replace the robot's `disabled_pairs`; a file without rules on pairs leaves
+        The pairs that the file ignores replace the robot's `disabled_pairs`; a file without rules about pairs leaves
         `disabled_pairs` unchanged. docs/howto/covers.md lists the formats.
 
         Parameters
@@ -1310,7 +1311,7 @@ class Robot(KeepsReadOnly):
         InputError
             If the suffix does not determine the format.
         MissingExtraError
-            If PyYAML or MuJoCo is needed and not installed.
+            If PyYAML or MuJoCo is needed but not installed.
 
         Warns
         -----
@@ -1867,7 +1868,7 @@ def chain_to(robot: Robot, link: str, joints: str | Iterable[str] | None = None)
 
 
 def _expect_order(robot: Robot, Q: object, name: str) -> None:
-    """Refuse a table, or a row of a table, whose labels are joints in another order; an array would lose the labels."""
+    """Refuse a table, or a row of one, whose labels are joints in another order; an array would lose the labels."""
     labels = getattr(Q, "columns" if hasattr(Q, "columns") else "index", None)
     if labels is None or callable(labels) or isinstance(Q, np.ndarray):
         return
@@ -1997,13 +1998,13 @@ def _rates(robot: Description, columns: Mapping[str, slice], dof: int, kind: str
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Return the nearer to p of the quaternions q and -q, and the cosine of its angle to p."""
+    """Return q or -q, namely the quaternion that is nearer to p, and the cosine of its angle to p."""
     cosine = dot(p, q)[..., None]
     return np.where(cosine < 0, -q, q), np.abs(cosine)
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state with the most joints, or None, and its configuration, or zeros, moved into the limits."""
+    """Return the state with the most joints and its configuration, or None and zeros; move values into the limits."""
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 

@@ -16,8 +16,8 @@ from loewner.errors import UnknownNameError
 from loewner.robots.description.urdf import MOST_PAIRS, VALUES, Description
 from loewner.robots.description.xml_elements import UNREAD, Element, by_name, cut, known, read_xml, settle, some
 
-# pinocchio's name for the free base that it adds to a robot; SRDF files for pinocchio use this name without declaring a
-# joint of this name.
+# pinocchio's name for the free base that it adds to a robot; SRDF files for pinocchio use this name without declaring
+# such a joint.
 UNDECLARED_BASE = "root_joint"
 
 # Parts of SRDF files that do not affect groups, states or pairs, keyed by the element that contains them.
@@ -33,13 +33,13 @@ HARMLESS = {
     "virtual_joint": frozenset(("@parent_frame", "@type")),  # the base has no values: see `Robot.placed`, `add_base`
 }  # fmt: skip
 
-# Limit on the number of joints of all groups together: far more than any robot has.
+# Maximum total number of joints in all groups, which is far more than any robot has.
 MOST_MEMBERS = 2**22
 
-# If less than the share LEAST_IN_COMMON of the names in an SRDF belong to the robot, the SRDF is for another robot.
+# If the robot has less than the share LEAST_IN_COMMON of the names in an SRDF, the SRDF is for another robot.
 LEAST_IN_COMMON = 0.25
 
-# Group, and values by joint; the group is "" for a state of the whole robot.
+# The group of a state, and its values by joint. The group is "" for a state of the whole robot.
 State = tuple[str, dict[str, float | tuple[float, ...]]]
 
 
@@ -56,7 +56,7 @@ class Semantics:
     disabled_pairs : frozenset
         Sorted pairs of links that are exempt from checking.
     ruled : bool
-        Whether there are rules on pairs; if so, adjacent pairs are checked unless a rule disables them.
+        Whether there are rules about pairs. If so, adjacent pairs are checked unless a rule disables them.
     """
 
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class _Names:
         return None
 
     def settle(self, path: Path) -> None:
-        """Refuse a different robot's SRDF; warn of ignored names, which a larger variant of this robot may have."""
+        """Refuse a different robot's SRDF; warn about ignored names, which a larger variant of this robot may have."""
         if not self.unknown:
             return
         foreign = [key for key in self.unknown if key[0] != "group"]
@@ -113,9 +113,9 @@ class _Names:
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
     """Read an SRDF file for a robot, or a string as if it were the contents of that file.
 
-    This function reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
-    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and elements
-    that other programs add (grippers, rotors, ...) are ignored.
+    This function reads groups, group states and the rules about pairs: ``disable_collisions``, ``enable_collisions``
+    and ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and
+    elements that other programs add (grippers, rotors, ...) are ignored.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None
 
 
 def _oddities(root: Element, names: _Names) -> Iterator[str]:
-    """Collect warnings about contents of an SRDF that are allowed but probably a mistake."""
+    """Collect warnings about contents of an SRDF that are allowed but probably mistakes."""
     robot, name = names.robot, root.get("name") or ""
     if name and name != robot.name:
         yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
@@ -166,7 +166,7 @@ def _oddities(root: Element, names: _Names) -> Iterator[str]:
 
 
 def _of_bases(root: Element, robot: Description) -> Iterator[str]:
-    """Collect warnings about bases that do not move, or move differently, in the robot."""
+    """Collect warnings about moving bases: the robot's base does not move, or moves differently."""
     top = next(iter(robot.shapes))
     for element in root.all("virtual_joint"):
         link = element.get("child_link")
@@ -277,13 +277,13 @@ def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str
 def _states(
     root: Element, names: _Names, groups: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, State], dict[str, list[str]]]:
-    """Read the states, and collect values that have no effect or are for joints outside the group, with warnings."""
+    """Read the states; also return warnings, each with the values that have no effect or are for other joints."""
     states: dict[str, State] = {}
     driven = set(names.robot.driven)
     first: dict[tuple[str, str], Element] = {}
     bases, outside, followers = [], [], []
     for element in root.all("group_state"):
-        # Some programs write a state outside all groups for the whole robot.
+        # Some programs write a state of the whole robot without naming a group.
         name = element.text("name")
         group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
         before = first.setdefault((element.get("group") or "", name), element)
@@ -317,7 +317,7 @@ def _states(
 
 
 def _lost(element: Element, names: _Names, values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
-    """Find joints of a state whose values contradict the joints that they follow; also return their lines."""
+    """Yield the joints of a state whose values contradict the joints that they follow, with the values' lines."""
     for e in element.all("joint"):
         joint = names.joint(e)
         follows = None if joint is None else names.robot.joints[joint].mimic

@@ -36,14 +36,14 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
 
 
 def adjacent_pairs(robot: Description, bodies: Collection[str] | None = None) -> frozenset[Pair]:
-    """Find pairs of links with bodies that are connected by one joint, or through links without bodies.
+    """Find adjacent links with bodies, which are connected by one joint or by a path over links without bodies.
 
     By default, links with shapes count as links with bodies. The path over links without bodies may have at most one
     moving joint. MoveIt's setup assistant allows any number of moving joints, but links separated by two moving joints
     may well collide, and a collision of an unchecked pair is never found.
     """
-    # Rigidly joined links without bodies form one place, named by its topmost link. Fixed and moving joints lead from
-    # each place to links with bodies.
+    # Rigidly joined links without bodies form one place, named after its topmost link. Fixed and moving joints lead
+    # from each place to links with bodies.
     shaped = {link for link, shapes in robot.shapes.items() if shapes} if bodies is None else bodies
     place = {name: name for name in robot.shapes}
     fixed: defaultdict[str, set[str]] = defaultdict(set)

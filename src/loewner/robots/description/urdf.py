@@ -39,7 +39,7 @@ URDF_KINDS = tuple(kind for kind in VALUES if kind != "ball")
 # Largest rates of joints with one value.
 RATES = ("velocity", "acceleration", "jerk")
 
-# Number of sizes of the shapes that are not meshes, and the attributes that hold them.
+# For each shape that is not a mesh, the attributes with its sizes, and the number of sizes in each attribute.
 SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -47,12 +47,12 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "capsule": (("radius", 1), ("length", 1)),
 }
 
-# An axis should be a unit vector. The direction of a far shorter vector is due to rounding or damage, and squares of
-# lengths below 1e-154 vanish, so readers do not agree on the direction.
+# An axis should be a unit vector. The direction of a far shorter vector is due to rounding or damage. Squares of
+# lengths below 1e-154 vanish, so readers do not agree on the direction of such a vector.
 SHORTEST_AXIS = 1e-9
 
 # Parts of URDF files that affect neither shapes nor motions nor checks, keyed by the element that contains them. A part
-# whose tag ends in "*" causes a warning if it contains links, joints or collision shapes, as a model of SDF does.
+# whose tag ends in "*" causes a warning if it contains links, joints or collision shapes, as an SDF model does.
 HARMLESS = {
     "robot": frozenset((
         "gazebo*",  # plugins, friction and sensors of a simulator
@@ -64,7 +64,7 @@ HARMLESS = {
     )),
     "link": frozenset((
         "@type",  # has no meaning in any reader
-        "self_filter",  # shapes by which ROS removes a robot from point clouds
+        "self_filter",  # shapes with which ROS removes a robot from point clouds
         "contact*", "gravity*", "inertial*", "kinematic*", "surface*",  # dynamics
         "visual*",  # appearance; read by `read_visuals`
     )),
@@ -85,21 +85,22 @@ HARMLESS = {
     "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
 }  # fmt: skip
 
-# The least share of a joint's range that the limits of mimicking joints may leave. A smaller share is a mistake, or
-# means that the mimicking joints' limits were never used, as in the grippers of the PR2.
+# The limits of mimicking joints may narrow a joint's range to this share at most. A smaller share is a mistake, or
+# means that the limits of the mimicking joints were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
-# Limits of mimicking joints never cut off less of a range than LEAST_CUT [rad or m], since these limits are rounded.
+# If a limit of a mimicking joint would move an end of a range by less than LEAST_CUT [rad or m], the end stays
+# unchanged, since such limits are rounded.
 LEAST_CUT = 1e-9
 
-# The share of the range by which limits in extensions may differ. Such limits are often the joints' limits with fewer
-# digits.
+# Limits in extensions may differ from the joints' limits by this share of the range without a warning, since they often
+# are the joints' limits with fewer digits.
 ROUNDED = 0.01
 
-# The first versions of URDF with quaternions and with acceleration and jerk, and the first unknown version.
+# The first URDF version with quaternions, the first with acceleration and jerk limits, and the first unknown one.
 WITH_QUATERNIONS, WITH_ACCELERATIONS, UNKNOWN = (1, 1), (1, 2), (1, 3)
 
-# Limit on the number of pairs of links that result from SRDF rules or links without shapes: far more than any robot
+# Maximum number of pairs of links that SRDF rules or links without shapes may produce, which is far more than any robot
 # has.
 MOST_PAIRS = 2**22
 

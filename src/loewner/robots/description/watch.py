@@ -13,16 +13,17 @@ from loewner._base._read_only import KeepsReadOnly
 from loewner._base._validate import Floats
 from loewner.errors import InputError
 
-# How far a joint's value may be outside its limits without a warning: an angle by a turn [rad], since it may have been
-# wrapped; a length by a metre plus a multiple of the distance between the limits.
+# A joint's value may be outside its limits by these amounts without a warning. An angle may be off by ANGLE_OUTSIDE
+# [rad], a whole turn, since it may have been wrapped. A length may be off by LENGTH_OUTSIDE [m] plus SPANS_OUTSIDE
+# times the distance between the limits.
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
 # A larger angle of a joint without limits is probably in degrees: about eight turns [rad].
 LARGEST_TURN = 50.0
 
-# Larger values of joints are refused [rad or m], so that no pose is NaN: accepted values stay finite when they are
-# multiplied by the largest factor of a description and added up along the longest chain.
+# Larger values of joints are refused [rad or m], so that no pose is NaN. Accepted values stay finite when they are
+# multiplied by a description's largest factor and added up along its longest chain.
 LARGEST_VALUE = 1e200
 
 
@@ -47,8 +48,8 @@ class Watch(KeepsReadOnly):
     turns, free : tuple of bool
         As given.
     range : ndarray, shape (2, dof)
-        Least and largest values that need no warning. The array object stays the same, but its entries may change to a
-        wider range.
+        Least and largest values that need no warning. The array object is never replaced, but its entries may change to
+        a wider range.
 
     Notes
     -----

@@ -112,7 +112,7 @@ def _text(name: object, value: object) -> str:
 
 @contextmanager
 def _finding(substitution: Any, file: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[None]:
-    """Let ``$(find package)`` search the folders in which meshes are sought; xacro itself needs ROS for this."""
+    """Let ``$(find package)`` search the same folders as for meshes; on its own, xacro needs ROS for this."""
 
     def find(package: str) -> str:
         return str(package_folder(package, file, folders).absolute())  # xacro resolves paths from the file's folder

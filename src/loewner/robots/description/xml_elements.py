@@ -15,21 +15,22 @@ from loewner._base._plausible import warn
 from loewner._base._validate import LISTED
 from loewner.errors import FileError, InputError
 
-# Limits on a description, a hundred times as large as the largest known robots need: bytes of a file, number of
-# elements, and depth of their nesting.
+# Limits on a description: bytes of a file, number of elements, and depth of nesting. These limits are a hundred times
+# larger than the largest known robots need.
 MOST_BYTES = 2**25
 MOST_ELEMENTS = 250_000
 DEEPEST = 100
 
-# Lengths, factors and offsets above LARGEST in a description are refused [m, rad, 1]: results computed from thousands
-# of smaller numbers are finite.
+# Lengths, factors and offsets above LARGEST in a description are refused [m, rad, 1], so that results computed from
+# thousands of such numbers are finite.
 LARGEST = 1e12
 
 # Largest number of unread parts that a message lists.
 UNREAD = 8
 
-# Namespaces whose elements another program has to replace before a description is complete, and their usual prefixes,
-# which some files use without declaring them. The address of xacro's namespace has had several forms.
+# TO_EXPAND contains namespaces whose elements another program has to replace before a description is complete.
+# UNDECLARED contains their usual prefixes, which some files use without declaring them. The address of xacro's
+# namespace has had several forms.
 TO_EXPAND = ("xacro", "www.w3.org/2001/xinclude")
 UNDECLARED = {"xacro": "xacro", "xi": "www.w3.org/2001/xinclude"}
 

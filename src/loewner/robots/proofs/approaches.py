@@ -1,9 +1,9 @@
-"""Bound how near a robot comes to contact on each piece of a curve: from below by a proof, and from above by a sample.
+"""Bound a robot's least distance from contact on each piece of a curve: from below by proofs, from above by samples.
 
-A piece is sampled, and a descent starts from the smallest distance. A proof of the piece as a motion then shows that
-every pair keeps at least this distance minus one hundredth. A failed proof names a time at which a pair is nearer, and
-the search continues there. Where the robot collides, no separating planes exist. Such pieces are divided into parts
-until no point moves farther within a part than the allowed difference between the two bounds.
+First, each piece is sampled. A proof of the piece as a motion then tries to show that every pair keeps at least the
+smallest sampled distance minus one hundredth. If the proof fails, it names a time at which a pair is nearer, and a
+descent from this time finds a smaller distance for the next proof. Where the robot collides, no separating planes
+exist. Such pieces are divided into parts until points move less within each part than the two bounds may differ.
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ from loewner.robots.proofs import in_time, motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, configurations, parts
 from loewner.robots.proofs.curves import Curve, curves_of, cut_in_time, expect_short, hits, proven
 
-# Largest difference between the two bounds on a distance, unless a search ends early: as a share of the distance, or in
-# metres.
+# Allowed difference between the two bounds on a distance: the larger of the share SHARE of the distance and NEAR [m].
+# The difference exceeds this value only if a search ends early.
 SHARE, NEAR = 0.01, 1e-5
 
 # Fractions of each piece at which distances are measured first; the last piece is also measured at its end.
 FIRST = np.arange(4) / 4
 
-# Search for a valley: the first distance to both sides of a time, as a share of the piece, the factor by which the
-# distance shrinks, and the number of steps.
+# Search for a minimum around a time. WIDE is the first distance to both sides of the time, as a share of the piece.
+# This distance shrinks by the factor NARROWER in each of the STEPS steps.
 WIDE, NARROWER, STEPS = 0.125, 0.4, 12
 
 # Fractions of pieces at which collisions are sought.
 TICKS = np.arange(32) / 32
 
-# Largest number of rounds of proofs; a proof that fails names a time at which the distance is smaller.
+# Maximum number of rounds of proofs. Each failed proof names a time at which the distance is smaller.
 MOST_ROUNDS = 30
 
-# Number of parts into which a part is divided, and the largest number of parts of one piece.
+# Number of parts into which a part is divided, and the maximum number of parts of one piece.
 PARTS, MOST_PARTS = 4, 1 << 14
 
 # Relative accuracy of exact distances, as a share of the lengths from which they are computed.
 ROUNDINGS = 1e-9
 
-# Suppose that a quaternion differs by δ <= 1/2 from a quaternion of norm 1. The angle between them is then at most
-# arcsin δ, which is less than 1.05 δ, and the body turns by twice this angle. No turn moves a point by more than twice
-# its distance from the axis.
+# If a quaternion differs by δ <= NEAR_TURNS from a quaternion of norm 1, the angle between the two is at most arcsin δ,
+# which is less than 1.05 δ. The body turns by twice this angle, so by less than TURNS * δ. No turn moves a point by
+# more than MOST_TURN times its distance from the axis.
 TURNS, NEAR_TURNS, MOST_TURN = 2.1, 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosestApproach(_validate.Brief):
-    """How near a robot comes to contact on each piece of a curve.
+    """A robot's closest approach to contact on each piece of a curve.
 
     Attributes
     ----------
     times : ndarray, shape (n + 1,)
         Times in seconds at which the pieces begin and end.
     lower : ndarray, shape (n,)
-        Proven lower bounds in metres. No pair of bodies, at their given poses without errors, is nearer than this bound
-        at any instant of the piece; a negative value bounds the depth of all overlaps. The bound is -inf if surfaces
-        overlap, since their depths have no upper bound.
+        Proven lower bounds in metres. At every instant of the piece, all pairs of bodies are at least this far apart. A
+        negative value bounds the depth of all overlaps. The bounds refer to the bodies' given poses, without errors of
+        the poses. The bound is -inf if surfaces overlap, since their depths have no upper bound.
     distance : ndarray, shape (n,)
         The least distance found: the exact distance at ``time``, or minus the depth. The distance exceeds `lower` by at
         most the larger of 10 µm and a hundredth of the distance, unless a search ended early.
@@ -118,13 +118,13 @@ def closest(
 @overload
 def closest(self: Any, curve: Any, *, t0: float | None = ...) -> ClosestApproach: ...
 def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproach | tuple[ClosestApproach, ...]:
-    """Bound how near the robot comes to contact on each piece of a curve, from below and above; margins are ignored.
+    """Bound the robot's least distance from contact on each piece of a curve, from both sides; margins are ignored.
 
     Parameters
     ----------
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-        As for `certify_trajectory`. Bodies that follow motions move at the same times; a piece ends where such a body
-        changes its rates.
+        As for `certify_trajectory`. Bodies that follow motions move at the same times; pieces also end where such a
+        body changes its rates.
     t0 : float, optional
         Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
@@ -252,8 +252,8 @@ def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproa
     Returns
     -------
     ndarray, shape (m, 2)
-        Times in seconds. The robot collides at both times, which are as near to the ends of the collision as
-        floating-point numbers allow. A collision ends at the latest where the pieces end.
+        Times in seconds. The robot collides at both times of a row. These times are as close to the ends of the
+        collision as floating-point numbers allow. A collision ends no later than the pieces.
     """
     intervals: list[tuple[float, float]] = []
     for group in np.split(pieces, np.flatnonzero(np.diff(pieces) > 1) + 1) if len(pieces) else []:
@@ -334,11 +334,11 @@ class _Motion(NamedTuple):
     Attributes
     ----------
     far : ndarray, shape (links, bodies)
-        Largest distances of bodies from the axes of joints, by the links that the joints move; 0 for other bodies.
+        Largest distance of each body from the axis of the joint above each link; 0 if the joint does not move the body.
     moved : ndarray, shape (links, bodies)
         1 where the joint moves the body.
     pairs : ndarray of int64, shape (2, pairs)
-        Indices of bodies; the last index is for all bodies that do not move.
+        Indices of bodies; all bodies that do not move have the same index, which is the last one.
     slack : float
         Error of exact distances in metres.
     """
@@ -378,7 +378,7 @@ def _travel(tree: Tree, off: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     slides, turns : ndarray, shape (..., links)
-        How far joints slide, and how far they turn points, relative to the distance from their axes.
+        How far joints slide, and how far they turn points, relative to the points' distance from the axes.
     """
     slides, turns = np.zeros((2, *off.shape[:-1], len(tree.kind)))
     for link, (kind, at, by) in enumerate(zip(tree.kind, tree.column, tree.multiplier, strict=True)):
@@ -395,19 +395,19 @@ def _travel(tree: Tree, off: Floats) -> tuple[Floats, Floats]:
 
 
 def _changes(robot: Robot, courses: Floats, low: Floats, high: Floats) -> Floats:
-    """Bound how far values, shape (N, dof), get from their values in the middle of a part of a course."""
+    """Bound how far values, shape (N, dof), on a part of a course differ from their values in the part's middle."""
     quaternions = robot._quaternions.values()
     if courses.shape[1] == 2:
         center, *ends = (configurations(robot, courses, share) for share in ((low + high) / 2, low, high))
         changes = np.maximum(*(np.abs(end - center) for end in ends))
-        for at in quaternions:  # turn at a constant rate: farthest at the ends; bound all columns by the norm
+        for at in quaternions:  # the ends of a steady turn are farthest; the norm bounds each column
             changes[:, at] = lengths(changes[:, at])[:, None] / 2
         return np.asarray(changes)
     points = center = parts(courses, low, high)
     while center.shape[1] > 1:
         center = (center[:, :-1] + center[:, 1:]) / 2
     changes = np.abs(points - center).max(axis=1)
-    for at in quaternions:  # as if the quaternion in the middle had norm 1
+    for at in quaternions:  # scale the quaternion in the middle to norm 1
         changes[:, at] /= lengths(center[:, 0, at])[:, None]
     return np.asarray(changes)
 
@@ -423,7 +423,7 @@ def _by_parts(search: Search, bounds: _Motion, piece: int) -> float:
         distance = search.look(np.full(count, piece), low + width / 2)
         change = _changes(search.ready.robot, np.repeat(course[None], count, axis=0), low, low + width) + off
         least = distance - bounds.approach(change) - bounds.slack
-        least[np.isnan(least)] = -np.inf  # an overflow bounds nothing
+        least[np.isnan(least)] = -np.inf  # an overflow gives no bound
         spent += count
         wanted = search.distance[piece] - _allowed(search.distance[piece : piece + 1])[0]
         left = least < wanted

@@ -1,4 +1,4 @@
-"""Find points well inside two bodies, and vertices that prove this: see docs/proof-format.md."""
+"""Find points well inside two bodies, and vertices that prove that they are inside; see docs/proof-format.md."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from loewner.queries._exact import cross, dot, minus, placed
 # depth.
 WELL_INSIDE = 0.05
 
-# Distances from the witnesses within which points are sought, in multiples of the depth; and how often curved pieces
-# get more planes.
+# AWAY contains the distances from the witnesses within which points are sought, in multiples of the depth. Curved
+# pieces get more planes at most ROUNDS times.
 AWAY, ROUNDS = (4.0, 256.0, 2.0**16), 24
 
 # Lengths below the share LEAST of the pieces' size are rounding errors.
@@ -28,15 +28,16 @@ LEAST = 1e-15
 # If only planes within ROUNDED times the size of a piece are considered, rounding errors in the planes matter.
 ROUNDED = 1e-9
 
-# A step away from a point, in multiples of the point's depth: the middle of a hull lies in faces of many tetrahedra.
+# A step away from a point, in multiples of the point's depth. The step avoids the middle of a hull, which lies in faces
+# of many tetrahedra.
 BESIDE = np.array([0.17, 0.08, -0.23])
 
-# Vertices of a hull from which tetrahedra are tried, and how many from each.
+# Number of a hull's vertices from which tetrahedra are tried, and number of tetrahedra from each vertex.
 APEXES, TRIANGLES = 4, 2
 
 
 def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[bytes]:
-    """Make the contents of proofs that two bodies have a common point, beginning with the likeliest points.
+    """Yield the contents of possible proofs that two bodies have a common point, the likeliest points first.
 
     Parameters
     ----------
@@ -104,8 +105,8 @@ def _innermost(a: _Piece, b: _Piece, middle: Floats, scale: float, away: float) 
 class _Piece:
     """A piece in the world: its kind, radius and size, the points of its core, and faces or the factor of its image.
 
-    A surface or a cloud counts as the ball about its corner nearest to `near`. A plane is a row: a unit outward normal,
-    and the plane's distance from a point, which is `place` for `faces`.
+    A surface or a cloud counts as the ball about its corner nearest to `near`. A plane is a row with a unit outward
+    normal and the plane's distance from a point; for `faces`, the point is `place`.
     """
 
     def __init__(self, packed: Packed, k: int, T: Floats, near: Floats) -> None:
@@ -134,7 +135,7 @@ class _Piece:
         return float(self.planes(x)[:, 3].min())
 
     def near_planes(self, x: Floats, reach: float) -> Floats:
-        """Return the planes within `reach` of a point; for faces, exact planes if `reach` is within rounding."""
+        """Return the planes within `reach` of a point; if rounding matters at this `reach`, faces have exact planes."""
         planes = self.planes(x)
         planes = planes[planes[:, 3] < reach + LEAST * self.size]
         if self.kind != columns.POLYTOPE or reach > ROUNDED * self.size:
@@ -174,12 +175,12 @@ class _Piece:
         return _turned(np.column_stack([rows, 1.0 - rows @ u]), back)
 
     def vertices_about(self, point: Floats) -> Iterator[tuple[int, ...]]:
-        """Name four points of the core that prove that a point belongs to the piece."""
+        """Yield sets of four core points that may prove that a point belongs to the piece."""
         if self.kind != columns.POLYTOPE:
             yield self.four
             return
-        # The ray from a vertex through the point leaves the hull through a triangle. The best such tetrahedron has its
-        # faces far from the point.
+        # The ray from a vertex through the point leaves the hull through a triangle. The vertex and the triangle form a
+        # tetrahedron that contains the point. The best tetrahedron has its faces far from the point.
         rated = []
         for apex in np.argsort(-((self.points - point) ** 2).sum(axis=1), kind="stable")[:APEXES].tolist():
             a, b, c = (self.points[self.triangles] - self.points[apex]).transpose(1, 0, 2)

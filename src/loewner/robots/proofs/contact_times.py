@@ -103,7 +103,7 @@ def first_contact(
     Notes
     -----
     The first piece that is not proven free is cut into eight parts, repeatedly, until the pair is within the tolerance
-    where the proof ends. The proof ends earlier if many triangles of two surfaces come near each other at the same
+    where the proof ends. The proof ends earlier if many triangles of two surfaces come close to each other at the same
     time, or if rounding matters. Rounding errors are about 1e-11 of the lengths involved and 2e-14 of the times.
 
     Contact that `Scene.leave` or `Scene.reach` allows on this curve is not reported. A contact at the end that becomes
@@ -121,14 +121,14 @@ def first_contact(
     ready: Problem = self._ready(timed=True)
     contacts = []
     for k, one in enumerate(curves_of(self.robot, self.scene, curve, t0)):
-        # On courses of degree 1, parts of a body's turn would have to be made in another way.
+        # Raise the degree to 3, since on courses of degree 1, a body's turn would have to be cut in another way.
         cubic = one._replace(courses=elevated(one.courses, max(0, 4 - one.courses.shape[1])))
         contacts.append(_by_rules(ready, cut_in_time(self.robot, ready, cubic), tolerance, k))
     return tuple(contacts) if isinstance(curve, (list, tuple)) else contacts[0]
 
 
 def _by_rules(ready: Problem, curve: Curve, tolerance: float, number: int) -> TrajectoryContact:
-    """Find the first contact on one curve that no rule allows, for pairs without rules and each pair with a rule."""
+    """Find the first contact on one curve that no rule allows, among pairs without rules and each pair with a rule."""
     if not len(ready.ruled):
         return _first(ready, ready, curve, tolerance, number)
     candidates, lengths = [_first(ready, ready.unruled, curve, tolerance, number)], np.diff(curve.times)
@@ -156,7 +156,7 @@ def _first(ready: Problem, problem: Problem, curve: Curve, tolerance: float, num
     `ready` has the motions that these bodies follow.
     """
     waiting = [(curve, 0)]  # unproven pieces and their numbers of cuts, with the earliest piece last
-    touching, doubt = np.inf, None  # the earliest collision, and the first place that is too near
+    touching, doubt = np.inf, None  # the earliest collision, and the first place that is too close
     while waiting:
         piece, cuts = waiting.pop()
         proven = prove(problem, piece.courses, FOR_PROOF * tolerance, piece.off)
@@ -225,7 +225,7 @@ def _cut(ready: Problem, curve: Curve, k: int) -> Curve:
 
 
 def _earlier(hits: Callable[[Floats], Ints], free: float, touching: float) -> float:
-    """Return a hit from `free` to `touching`, just after a time that is not a hit; `free` itself if it is a hit."""
+    """Return a hit from `free` to `touching` that follows a time without a hit; `free` itself if it is a hit."""
     if len(hits(np.array([free]))):
         return free
     while True:

@@ -27,12 +27,12 @@ from loewner.robots.proofs import motions
 from loewner.robots.proofs.courses import CURVE_ROUNDINGS, between, configurations
 from loewner.robots.proofs.motions import STEPS, Found, Limit
 
-# Lengths of a stretch's last part that are tried, as shares of a course. The longest part on which the contact recedes
-# is used.
+# Lengths that are tried for the last part of a stretch, as shares of a course. The longest part on which the contact
+# recedes is used.
 STRETCHES = 2.0 ** -np.arange(16)
 
-# Values at the end of a stretch deviate from a straight motion by less than the share OFF: `motion_path` rounds by 7
-# units. On a course of a higher degree they deviate by less than `CURVE_ROUNDINGS`.
+# At the end of a stretch, values deviate from a straight motion by less than the share OFF, since `motion_path` rounds
+# by at most 7 units. On a course of a higher degree, they deviate by less than the share `CURVE_ROUNDINGS`.
 OFF = 32 * 2.0**-53
 
 # Distances below the share LEAST_SHARE of the robot's reach have no reliable normal.
@@ -52,7 +52,7 @@ TOUCHING = 1e-9
 # robot's reach.
 PARTED = 1e-4
 
-# Places on each course at which the distance is measured first, and the largest number of places.
+# Number of places on each course at which the distance is measured first, and maximum number of all places.
 SAMPLES, MOST_SAMPLES = 8, 2**17
 
 
@@ -262,7 +262,7 @@ class _Left(NamedTuple):
 
 
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
-    """Return runs from the ends where contact is allowed, whether each is from the start, and the deepest contact.
+    """Return a run from each end at which contact is allowed, whether this end is the start, and the largest depth.
 
     A contact at the start may have any depth, since a motion cannot change it. A contact at the end may be no deeper
     than the tolerance.
@@ -279,7 +279,7 @@ def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: fl
 
 
 def _leave(ready: Problem, pair: int, run: Run, tolerance: float, deepest: float, work: Work) -> _Left:
-    """Prove that a pair that may be in contact at the start of a run leaves it."""
+    """Prove that a pair that may be in contact at the start of a run leaves the contact."""
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), distance_at(ready, pair, run.courses[0, 0])
     answers = _settled(alone, run.courses, FOR_PROOF * tolerance, run.off, work)
@@ -321,7 +321,7 @@ def _settled(problem: Problem, courses: Floats, tolerance: float, off: Floats, w
 
 
 def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: float) -> tuple[int, float]:
-    """Return the course and fraction where a pair has first parted; the run's end if the pair never comes near again.
+    """Return the course and fraction where a pair has first parted, or the run's end if it never comes near again.
 
     The distance is measured at places between which the pair moves too little to part and come near again.
 
@@ -331,9 +331,9 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
     pair : int
     run : Run
     near : float
-        Metres; the pair is near up to this distance.
+        Largest distance in metres at which the pair counts as near.
     parted : float
-        Metres beyond `near` at which the pair has parted.
+        Distance in metres beyond `near` at which the pair counts as parted.
     """
     *center, radius, _ = ready.balls[ready.pairs[pair, 0]].tolist()
     at, distances, poses = _samples(ready, pair, run)
@@ -345,7 +345,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
         change = np.diff(poses, axis=0)
         turned = np.linalg.norm(change[..., :3], axis=(1, 2))
         moved = lengths(change[..., :3] @ center + change[..., 3]) + radius * turned
-        # Between two places, the pair can part and come near again only if it moves as far as `far`.
+        # Between two places, the pair can part and come near again only if it moves farther than `needed`.
         far = near + parted
         low, high = np.minimum(distances[:-1], distances[1:]), np.maximum(distances[:-1], distances[1:])
         needed = high - low + 2.0 * np.where(high <= far, far - high, np.where(low >= far, low - near, parted))
@@ -353,7 +353,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
         if len(wide) == 0:
             return _on_course(at[-1])
         if len(at) + len(wide) > MOST_SAMPLES:
-            return 0, 1.0 / SAMPLES  # contact is allowed no farther than it was measured
+            return 0, 1.0 / SAMPLES  # contact is allowed only as far as it was measured
         middle = _samples(ready, pair, run, (at[wide] + at[wide + 1]) / 2.0)
         at, distances, poses = (
             np.insert(old, wide + 1, new, axis=0) for old, new in zip((at, distances, poses), middle, strict=True)
@@ -361,7 +361,7 @@ def _end_of_contact(ready: Problem, pair: int, run: Run, near: float, parted: fl
 
 
 def _on_course(at: float) -> tuple[int, float]:
-    """Return the course and the fraction of a place, with a course's end in place of the start of the next course."""
+    """Return the course and the fraction of a place; a place between two courses is the end of the first one."""
     k = max(int(np.ceil(at)) - 1, 0)
     return k, float(at - k)
 
@@ -451,8 +451,8 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
     at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
     touching = at_start <= float(ready.margins[pair]) + tolerance
     apart, planes = every[~touching], every[touching]
-    # Two pieces that just touch have no computable normal; slightly later on the motion, or slightly moved apart, they
-    # have a normal. Any normal is safe, since the proof fails with a bad normal.
+    # The normal of two pieces that just touch cannot be computed. It can be computed slightly later on the motion, or
+    # with the pieces slightly apart. Any normal is safe, since the proof fails with a bad normal.
     u, v = planes.T
     gaps = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
     when, nth = (np.abs(gaps.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
@@ -466,7 +466,7 @@ def _touched(ready: Problem, pair: int, T: Floats, reach: float, tolerance: floa
 
 
 def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: float) -> tuple[Problem, float]:
-    """Pair the pieces of the first body with planes in front of which they begin, in place of the touched pieces.
+    """Replace touched pieces of the second body with planes, each paired with the piece that begins in front of it.
 
     Also return the tolerance for the proof that the pieces stay in front. The plane of touching pieces is moved back by
     most of the tolerance; the plane of separate pieces is moved back until only their margin is left. Normals are
@@ -478,7 +478,7 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
     margin, T = float(ready.margins[pair]), ready.poses(configurations(ready.robot, run.courses[k], places - k))
     reach = _reach(ready, pair, run)
     ours, theirs, apart, planes, distances, normals = _touched(ready, pair, T, reach, tolerance)
-    # How far the piece reaches along any given normal, from the distance between the piece and a wall beyond it.
+    # Compute how far the second body's piece reaches along each normal, from its distance to a wall beyond it.
     far = 2 * float(packed_of(theirs).kernel.table[:, columns.REACH].max())
     walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
     reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[planes[:, 1]], None, walls, None, exact=True).distance

@@ -23,7 +23,7 @@ def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
 
 
 def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
-    """Compute the configuration of each course at a fraction of its own, shape (N,); the result has shape (N, dof)."""
+    """Compute the configuration of each course at its own fraction, shape (N,); the result has shape (N, dof)."""
     degree = courses.shape[1] - 1
     if degree == 1:
         return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])

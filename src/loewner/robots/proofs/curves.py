@@ -34,13 +34,13 @@ from loewner.scenes.scene import Scene
 # Two segments of a curve join if their ends differ by at most the share JUMP of the curve's values.
 JUMP = 1e-9
 
-# Largest difference of SciPy's values from the proven curve, in multiples of a bound on rounding.
+# Largest allowed difference between SciPy's values and the proven curve, in multiples of a bound on rounding.
 AGREEMENT = 8.0
 
 # Number of times at which distances along a curve are measured, in addition to the times of verdicts.
 MEASURED = 401
 
-# Least and largest norm of a quaternion at the start of a segment.
+# Least and largest allowed norm of a quaternion at the start of a segment.
 NORMS = (0.5, 2.0)
 
 
@@ -314,11 +314,11 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     if not robot._watch.passes(ends):
         robot._watch.tell(ends, name)
     if points.shape[1] == 1 or (points.shape[1] == 2 and not robot.runs_straight):
-        # A course of degree 1 turns orientations at a constant rate, which a polynomial does not.
+        # Raise the degree of polynomials, since orientations on a course of degree 1 turn at a constant rate.
         points = elevated(points, 3 - points.shape[1])
     points, off = points.copy(), curve.off.copy()
     for columns in robot._quaternions.values():
-        # Deviations are bounded by the angle by which they turn a quaternion of norm 1.
+        # Scale quaternions to norm 1, since bounds on deviations refer to turns of such quaternions.
         with np.errstate(over="ignore"):
             norms = np.linalg.norm(points[:, 0, columns], axis=1)
         for k in np.flatnonzero(~((norms >= NORMS[0]) & (norms <= NORMS[1])))[:1]:
@@ -342,7 +342,7 @@ def form_of(given: Any, name: str) -> Curve | None:
     _refuse_other_evaluation(given, name)
     try:
         return _of_scipy(given, name)
-    except (ValueError, IndexError, TypeError, OverflowError) as error:  # attributes damaged later
+    except (ValueError, IndexError, TypeError, OverflowError) as error:  # attributes have been damaged
         if isinstance(error, InputError):
             raise
         raise InputError(f"{name}: expected a curve that SciPy can evaluate, found {error}") from error
@@ -373,7 +373,7 @@ def _is_of_scipy(given: Any) -> bool:
 
 
 def _refuse_other_evaluation(given: Any, name: str) -> None:
-    """Refuse a curve whose values are computed by other code than SciPy's.
+    """Refuse a curve whose values are computed by code other than SciPy's.
 
     Such values may differ from the polynomials of the coefficients at any time, and samples cannot rule this out.
     """
@@ -408,7 +408,7 @@ def _refuse_other_values(robot: Robot, given: Any, curve: Curve, name: str) -> N
     weights = [comb(degree, k) * power(share, k) * power(1 - share, degree - k) for k in range(degree + 1)]
     wanted = np.einsum("kn,nkc->nc", np.array(weights), courses[segments])
     rates = degree * np.abs(np.diff(courses, axis=1)).max(axis=1, initial=0.0) / (end - begin)
-    # A periodic curve subtracts whole periods from the times, which rounds them.
+    # A periodic curve subtracts whole periods from the times, and the subtraction rounds.
     allowed = AGREEMENT * (curve.off + rates * np.spacing(np.abs(curve.times).max())) + np.finfo(np.float64).tiny
     for k, joint in np.argwhere(~(np.abs(actual - wanted) <= allowed[segments]))[:1].tolist():
         raise InputError(

@@ -1,9 +1,9 @@
-"""Motions of a robot among bodies that follow motions of their own, treated together as motions of one robot.
+"""Motions of a robot among bodies that follow their own motions, combined into motions of one robot.
 
 A body that follows a motion is a link on a floating joint (`assembly.with_moving_bodies`). Between two successive times
-of its motion, the body moves straight and turns at a constant rate, as such a joint does. A motion of the robot is
-therefore cut at the times of the bodies' motions, and each piece is proven as usual. The ends of pieces are rounded;
-docs/certified.md, "Motions in time", derives the bounds below.
+of its motion, the body moves straight and turns at a constant rate, like a floating joint on a straight motion. A
+motion of the robot is therefore cut at the times of the bodies' motions, and each piece is proven as usual. The ends of
+pieces are rounded; docs/certified.md, "Motions in time", derives the bounds below.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from loewner.robots.proofs.proofs import ProofOptions, apply_rules, deviations, 
 # Number of values of a floating joint.
 WIDTH = 7
 
-# Bounds on rounding errors: of positions and quaternions, relative to their largest numbers; and of times.
+# Bounds on rounding errors. VALUE_ROUNDINGS is for positions and quaternions, relative to their largest numbers, and
+# TIME_ROUNDINGS is for times.
 VALUE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # certified.md B56
 TIME_ROUNDINGS = 16.0 * tolerances.UNIT_ROUNDOFF  # certified.md B57
 

@@ -1,4 +1,4 @@
-"""Call the kernel that proves motions, and hold the results of `CollisionChecker.certify_edges`."""
+"""Call the kernel that proves motions, and represent the results of `CollisionChecker.certify_edges`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from loewner.robots.checking.problem import Problem
 # Smallest number of motions that a thread takes at a time: about 0.3 ms of work.
 LEAST_SHARE = 16
 
-# Column of the work of motions that counts steps.
+# Column of `Found.work` that contains the number of steps.
 STEPS = 2
 
 NO_STRAYS = np.empty((0, 0))

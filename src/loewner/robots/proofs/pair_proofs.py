@@ -47,7 +47,7 @@ def prove(a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | 
     ConvergenceError
         If the format cannot express a proof of the answer, for one of four reasons. The bodies may be apart, but not by
         more than the margin. They may touch or nearly touch, so that rounding leaves no point inside both bodies, or no
-        plane between them. A surface may take part in a collision. Hulls of parts of surfaces and clouds may meet
+        plane between them. One of two colliding bodies may be a surface. Hulls of parts of surfaces and clouds may meet
         although the bodies do not.
 
     Examples
@@ -89,9 +89,10 @@ def prove(a: Body, T_world_a: ArrayLike | None, b: Body, T_world_b: ArrayLike | 
 
 
 def _apart(model: Model, parts: bool, measured: Callable[[], queries.Distance]) -> Proof:
-    """Write a proof with planes that leave room for checkers that round or, without such planes, with any planes.
+    """Write a proof with planes that leave room for checkers that round or, if there are none, with any planes.
 
-    The search for planes fails near contact. The more careful search for the distance is used last.
+    The search for planes may fail near contact, so the last attempt begins with the normal from the careful search for
+    the distance.
     """
     for room, careful in ((separations.ROOM, False), (0.0, False), (0.0, True)):
         tree = separations.still(model, room, np.asarray(measured().normal) if careful else None)

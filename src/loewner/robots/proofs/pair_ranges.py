@@ -54,8 +54,8 @@ FIRST_BOXES = 1000
 # Least tolerance of a proof [m].
 LEAST_TOLERANCE = 1e-12
 
-# Largest denominator of a joint's multiplier, if the joint follows a value without limits: the range is a common period
-# of the joints.
+# If joints follow a value without limits, the range of the value is a common period of the joints. The denominators of
+# the joints' multipliers must not exceed MOST_TURNS.
 MOST_TURNS = 64
 
 # Accuracy of ranges of one value [rad or m], and number of bisections for boxes of several values.
@@ -69,7 +69,7 @@ UP = 1.0 + 1e-5
 # at, the best direction. The largest measured error of such searches is 7.1e-6, for cylinders with a common axis.
 OF_DEPTH, OF_LENGTHS, OF_CURVED = 1e-6, 1e-12, 1e-4
 
-# Verdicts that more boxes may change.
+# Verdicts that may change if more boxes are examined.
 UNDECIDED = (PairVerdict.CAN, PairVerdict.OPEN)
 
 # Numbers of starts and of steps of a search for the least distance.
@@ -161,7 +161,7 @@ class _Question:
                     break
 
     def descend(self) -> None:
-        """Search for the least distance, from the nearest of the configurations that are tried first."""
+        """Search for the least distance, starting at the nearest of the configurations that are tried first."""
         Q = self.lower + _low_discrepancy.points(TRIED, len(self.columns)) * (self.upper - self.lower)
         if self.colliding is not None:
             Q = np.concatenate([Q, self.colliding[None, self.columns]])
@@ -332,7 +332,7 @@ def _between(tree: Tree, one: int, other: int) -> list[int]:
 
 
 def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> tuple[Robot, Ints]:
-    """Make a robot with only the given joints, links and columns; return it with the links' numbers in it.
+    """Make a robot with only the given joints, links and columns; also return the numbers of the links in this robot.
 
     The link that carries the first joints is the new robot's world: neither the link's place nor other joints matter.
     """
@@ -360,7 +360,7 @@ def _chain(whole: Robot, links: list[int], joints: list[int], columns: Ints) -> 
 def _levers(ready: Problem, body: int, lower: Floats, upper: Floats) -> tuple[Floats, float]:
     """Bound how far any point of a body, seen from the other body, moves for each value [m per rad or m].
 
-    Also return the largest travel of all joints that slide [m].
+    Also return the sum of the largest travels of all joints that slide [m].
     """
     tree, reach = ready.robot.tree, ready.tables.reach[body]
     slides, turns = [], []  # link, column, and multiplier
@@ -428,7 +428,7 @@ def prove_pairs(
     stated = None
     if _validate.flag(proof, "proof"):
         ready = prepared(self, scene, self._usually_skipped, scene.version, None)
-        stated = model_of(ready), ready  # refused at once if there is no model
+        stated = model_of(ready), ready  # raises an error if there is no model
     every = prepared(self, scene, (), scene.version, None)
     body_pairs = _asked(self, every, pairs)
     kept = cache and not ranges and margin == 0.0 and not scene.names and not scene.margins
@@ -506,7 +506,7 @@ robot.answers |= {"prove_pairs": prove_pairs, "free_range": free_range}
 
 
 def _claims(whole: Robot, every: Problem, rows: tuple[ProvenPair, ...]) -> list[Claim]:
-    """Return the rows with joints as a proof states them; all rows must be NEVER."""
+    """Convert the rows with joints to claims of a proof; all rows must be NEVER."""
     if not any(row.columns for row in rows):
         raise InputError("proof: expected pairs with joints between them, found none; there is nothing to prove")
     place, claims = {name: k for k, name in enumerate(every.names)}, list[Claim]()
@@ -560,7 +560,7 @@ def _column(whole: Robot, name: Any, q: Floats, given: Mapping[int, tuple[float,
 
 
 def _end(ready: Problem, q: Floats, column: int, end: float) -> float:
-    """Find how far towards an end of its range one value is proven free."""
+    """Find how far one value is proven free in the direction of one end of its range."""
     free_end, step = float(q[column]), end - float(q[column])
     a, b = q.copy(), q.copy()
     while free_end != end and abs(step) > FINEST:
@@ -645,7 +645,7 @@ def _sorted(every: Problem, pair: tuple[int, int]) -> Pair:
 def _question(
     whole: Robot, every: Problem, pair: tuple[int, int], margin: float, given: Mapping[int, tuple[float, float]]
 ) -> _Question | ProvenPair | None:
-    """Prepare the question about a pair; return the answer if there is no range, and None if there is no joint."""
+    """Prepare the question about a pair. If there is no range, return the answer; if there is no joint, return None."""
     moving, (a, b), names = len(every.link), pair, _sorted(every, pair)
     links = [int(every.link[a]), int(every.link[b]) if b < moving else -1]
     joints = _between(whole.tree, *links)
@@ -666,7 +666,7 @@ def _question(
     standing = every.standing.poses.reshape(-1, 16)[b - moving :][:1] if b >= moving else np.empty((0, 16))
     ready = _pair_problem(chain, packs, numbers, margin, standing)
     if b < moving:
-        # In proofs, the moving body is the body that moves less as seen from the other body.
+        # Proofs move the first body, so let the first body be the body that moves less as seen from the other one.
         first, second = (((upper - lower) * _levers(ready, body, lower, upper)[0]).sum() for body in (0, 1))
         if second < first:
             ready = _pair_problem(chain, packs[::-1], numbers[::-1], margin, standing)
@@ -675,7 +675,7 @@ def _question(
 
 
 def _constant(whole: Robot, every: Problem, names: Pair, margin: float) -> ProvenPair:
-    """Answer for a body of the scene and a link that does not move with respect to it."""
+    """Answer the question about a body of the scene and a link that does not move relative to this body."""
     pair = sorted(every.names.index(name) for name in names)
     q, ready = whole.configuration(), every.with_pairs(np.array([pair]), np.array([margin]))
     verdict = verdicts.classified(ready, codes.EXACT, q[None]).verdicts[0]

@@ -29,8 +29,9 @@ from loewner.robots.checking.problem import Problem
 # Kinds of joints and of pieces in the format.
 STAYS, TURNS, SLIDES = 0, 1, 2
 HULL = 0
-# The kernels' kinds of pieces, beginning with HULL, and how far the points of their unit shapes are from the origin.
-# Pieces with a ball are hulls of their cores.
+# KINDS contains the kernels' kinds of pieces; the index of a kind is its number in the format. FARTHEST contains the
+# largest distance of any point of each kind's unit shape from the origin. Sums of a core and a ball are stored as hulls
+# of their cores.
 KINDS = columns.POLYTOPE, columns.ELLIPSOID, columns.CYLINDER, columns.CONE
 FARTHEST = 0.0, 1.0, np.sqrt(2.0), np.sqrt(2.0)
 
@@ -190,7 +191,7 @@ def model_of_pair(packs: Sequence[Packed], cut: Sequence[Packed], poses: Floats,
     """
     none, nothing = np.array([-1]), np.zeros((1, 3))
     identity = quaternions_of(np.eye(3)[None])
-    # One body gets a link of its own, since bodies of the world are not checked against each other.
+    # One body gets its own link, since bodies of the world are not checked against each other.
     links = Links(["a"], none, np.array([STAYS]), none, np.ones(1), np.zeros(1), identity, nothing, nothing, none)
     pieces, hollow = pieces_of(join(cut)), _hollow(packs, cut)
     placed = Placed(PAIR, np.array([0, -1]), poses[:, :3, :3], poses[:, :3, 3], pieces, hollow)
@@ -320,7 +321,7 @@ def _name(text: str) -> bytes:
 
 
 def _of_links(links: Links) -> list[bytes]:
-    # The sum turns -0 into 0.
+    # Adding 0 turns -0 into 0.
     numbers = 0.0 + np.column_stack([links.multiplier, links.offset, links.quaternion, links.translation, links.axis])
     return [
         _name(name) + struct.pack("<iBi", above, moves, value) + row.astype("<f8").tobytes()

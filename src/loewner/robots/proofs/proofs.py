@@ -79,7 +79,7 @@ def prove_by_rules(ready: Problem, a: Floats, b: Floats, options: ProofOptions) 
 
 
 def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, found: Found, options: ProofOptions) -> None:
-    """Prove curves that are not proven free, with contact at their ends as `Scene.leave` and `Scene.reach` allow.
+    """Prove the remaining curves, with the contact at their ends that `Scene.leave` and `Scene.reach` allow.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def apply_rules(ready: Problem, courses: Floats, off: Floats, first: Ints, found
 
 
 def deviations(courses: Floats, joint_error: Floats | None) -> Floats | None:
-    """Add the rounding of configurations that users compute from a course to a joint error; None without an error.
+    """Add to a joint error the rounding of configurations that users compute from courses; None without an error.
 
     Returns
     -------

@@ -27,17 +27,19 @@ from loewner.robots.proofs.written_proofs import FARTHEST_TURN, RANGES, VERSION,
 # Largest size of a file [bytes], and largest number of products of a point and a normal that checkers compute.
 MOST_BYTES, MOST_WORK = 5_000_000, 2**29
 
-# Largest numbers of nodes in the trees of all pairs together, of levels of a tree, and of halvings of a side (the ends
-# of its parts are exact doubles).
+# MOST_NODES limits the nodes in the trees of all pairs together, and DEEPEST limits the levels of a tree. MOST_HALVED
+# limits the halvings of a side, so that the ends of its parts are exact doubles.
 MOST_NODES, DEEPEST, MOST_HALVED = 2**19, 64, 48
 
-# Largest numbers of corners that are examined at a time, and of sides of a box: planes are checked at all corners.
+# Maximum number of corners that are examined at a time, and maximum number of sides of a box. Planes are checked at all
+# corners.
 AT_ONCE, MOST_SIDES = 4096, 8
 
 # Room for checkers that compute with enclosures: shares of the terms of the condition, and of the model's size.
 OF_TERMS, OF_SIZE = 2e-9, 2e-11
 
 # A plane is written with 16 bits per coordinate if the gap exceeds the margin by the share COARSE of the bodies' size.
+# The normal then has the length LONGEST.
 COARSE, LONGEST = 3e-4, 32767
 
 # Pieces are divided if the plane of the nearest points leaves less room than the share OF_ROOM of the gap between the
@@ -74,7 +76,7 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
         If a body of a pair has a surface, a joint turns too far, there are too many values between two bodies, or the
         file would be larger than `MOST_BYTES`.
     ConvergenceError
-        If the bounds of the format do not suffice because a pair comes too near to its margin.
+        If the bounds of the format do not suffice because a pair comes too close to its margin.
     """
     blocks, nodes, work = [struct.pack("<I", len(claims))], 0, 0
     for claim in sorted(claims, key=lambda claim: claim.pair):
@@ -109,7 +111,7 @@ def _refuse(ready: Problem, claim: Claim, names: str) -> None:
 
 
 def _path(links: Links, a: int, b: int) -> tuple[list[int], list[int]]:
-    """Return the links from each of two links up to the common link above both, which is left out."""
+    """Return the links from each of two links up to their nearest common link, which is left out."""
     ups: tuple[list[int], list[int]] = ([], [])
     while a != b:  # a link comes after the link above it
         ups[a < b].append(max(a, b))
@@ -195,7 +197,7 @@ class _Joints:
         return bends
 
     def size(self, link: int) -> float:
-        """Return the length of the chain of a link, slides included."""
+        """Return the length of the chain from the world to a link, including slides."""
         total = 0.0
         while link >= 0:
             slide = self.length[link] * self.far(link) if self.links.moves[link] == SLIDES else 0.0

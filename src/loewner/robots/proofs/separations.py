@@ -33,20 +33,21 @@ NORMAL, DOUBLES = 16, 18
 # Room for checkers that compute with enclosures, as a share of the model's size.
 ROOM = 2e-11
 
-# Largest numbers of nodes in the trees of one motion, and of normals among them: with more, the search would not end.
+# Maximum number of nodes, and of normals, in the trees of one motion. These limits make the search end.
 MOST_NODES, MOST_NORMALS = 2**20, 2**18
 
-# Columns of the kernel's memory with the last plane named for a pair; the next columns hold normals to try.
+# Columns of the kernel's memory that contain the plane that was last named for a pair. The columns after these contain
+# normals to try.
 NAMED = slice(4, 8)
 
 # Largest number of times that a motion, or half of a motion, is halved to shorten a contact.
 MOST_HALVED = 15
 
-# For the search, least distances below 0 are raised by the share DEPTH_ROOM, since the search adds room for rounding in
-# proportion to sums.
+# The kernel multiplies required gaps by a factor above 1, which would lower a negative least distance. For the search,
+# negative least distances are therefore raised by the share DEPTH_ROOM.
 DEPTH_ROOM = 4e-9
 
-# The model of two bodies that do not move has no joints of a robot.
+# Joints for the model of two static bodies, which has no robot.
 _NONE = np.empty(0, dtype=np.int64)
 _NO_TREE = records.Tree(_NONE, _NONE, _NONE, np.empty(0), np.empty(0), np.empty((0, 1)))
 
@@ -244,7 +245,7 @@ class _Search(NamedTuple):
     tolerance: float
 
     def with_contacts(self, trees: list[bytes | Failed], touching: list[Contact]) -> list[bytes | Failed]:
-        """Make the trees that failed, if contacts suffice, and append the contacts, each as short as possible.
+        """Make the missing trees, if contacts suffice, and append the contacts, each as short as possible.
 
         The contacts of a pair form one stretch from the start of the curve, or one stretch to its end.
         """
@@ -299,7 +300,7 @@ class _Search(NamedTuple):
     def _part(
         self, k: int, low: float, high: float, end: int, touch: tuple[float, Floats], made: list[Contact]
     ) -> bytes | Failed:
-        """Make the tree of a part of a motion, with a contact at one of its ends if it needs one."""
+        """Make the tree of a part of a motion, with a contact at one end of the part if necessary."""
         whole = self._tree(k, low, high)
         least, normals = touch
         if not isinstance(whole, Failed) or len(normals) == 0:  # nothing touches
@@ -406,6 +407,6 @@ def written(deviations: Floats, courses: Floats) -> bytes:
 
 
 def written_contacts(model: Model, touching: list[Contact]) -> bytes:
-    """Write the contacts of a proof; none if the model has no rules."""
+    """Write the contacts of a proof; without rules in the model, the result is empty."""
     rows = [struct.pack("<3I2Bd", k, *model.pairs[pair].tolist(), *rest) for k, pair, *rest in touching]
     return struct.pack("<I", len(rows)) + b"".join(rows) if model.rules.any() else b""
