@@ -44,15 +44,15 @@ from loewner.scenes.scene import drawn as drawn_scene
 # checked configurations has doubled.
 FIRST_LOOK = 32
 
-# Number of random configurations in which a pair must also collide before it is suspected of always colliding.
+# A pair is suspected of always colliding only if it also collides in this number of random configurations.
 SUSPECTED = 64
 
 # A scene is probably in millimetres if all of its bodies are farther away than FAR times the robot's reach. The reach
 # is estimated from TRIED random configurations.
 FAR, TRIED = 100.0, 8
 
-# Version of the scene, queries for one configuration, and the prepared pairs. One tuple holds all three, since a tuple
-# is replaced in one step: this is thread-safe and fast.
+# Version of the scene, queries for one configuration, and the prepared pairs. They form one tuple, since replacing a
+# tuple is thread-safe and fast.
 UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 

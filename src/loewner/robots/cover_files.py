@@ -53,7 +53,7 @@ MOST_BYTES = 2**25
 # are smaller than a kilometre, rounding errors of angles and sizes are far smaller.
 WIDENED = 1e-9
 
-# Keys in cuRobo's files, Lula's robot descriptions and XRDF files that contain neither shapes nor rules about pairs.
+# Keys that contain neither shapes nor rules about pairs, in cuRobo's files, Lula's robot descriptions and XRDF files.
 OF_CUROBO = frozenset((
     "acceleration_limits", "add_object_link", "api_version", "asset_root_path", "base_link", "composite_task_spaces",
     "cspace", "cspace_to_urdf_rules", "debug", "default_joint_positions", "default_q", "dynamics", "ee_link",
@@ -260,7 +260,7 @@ def _rounded(balls: _Balls) -> _Balls:
     with np.errstate(over="ignore"):
         centers = np.float32(balls.centers).astype(float)
         moved = np.linalg.norm(centers - balls.centers, axis=1)
-        # The sum and the norm have errors of a few roundings; the error of the norm is relative to the norm.
+        # The factor allows for rounding errors of the norm, and `nextafter` for the rounding error of the sum.
         needed = np.where(moved > 0, np.nextafter(balls.radii + moved * (1 + 1e-12), np.inf), balls.radii)
         single = needed.astype(np.float32)
         radii = np.where(single < needed, np.nextafter(single, np.float32(np.inf)), single).astype(float)

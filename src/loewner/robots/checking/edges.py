@@ -114,5 +114,5 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def flat(Q: Floats) -> Floats:
-    """Flatten configurations to rows. Without joints, NumPy could not infer the number of rows from -1."""
+    """Flatten configurations to rows. For a robot without joints, NumPy could not infer the number of rows."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

@@ -61,7 +61,7 @@ def _start(robot: Any) -> str:
 
 @cache
 def _code() -> str:
-    """Return a hash of the code that finds the answers."""
+    """Return a hash of the code that computes the answers."""
     return hash_of_code([Path(__file__).parents[1]])
 
 

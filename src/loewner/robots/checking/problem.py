@@ -80,10 +80,11 @@ class Problem:
         Number of collisions found for each pair; this is the only array that changes. Threads may lose each other's
         counts, but the counts affect only the order of the pairs.
     lasting : ndarray
-        Memory for the other arrays of `records.Problem` and `records.MotionTables` that depend on no pose (`lay_out`).
+        Memory for the other arrays of `records.Problem` and `records.MotionTables` that do not depend on poses (see
+        `lay_out`).
     block : ndarray
-        The table of addresses of the arrays of `records.Problem` and then of `records.MotionTables`, followed by the
-        arrays of `standing`. Each state of the scene has its own block (`place_static`).
+        A table of array addresses, first for `records.Problem` and then for `records.MotionTables`, followed by the
+        arrays of `standing`. Each state of the scene has its own block (see `place_static`).
     handle : int
         Address of the table; valid as long as this object lives.
     paths : PackedPaths or None
@@ -129,9 +130,9 @@ class Problem:
         reaching: Bools | None = None,
         before: Problem | None = None,
     ) -> Problem:
-        """Prepare pairs of bodies for a version and structure version of the scene; `with_poses` sets static poses.
+        """Prepare pairs of bodies for two versions of the scene, as in the attributes; `with_poses` sets static poses.
 
-        Without `leaving` and `reaching`, no pair may be in contact. Bodies that an earlier problem has joined are not
+        By default, no pair may be in contact at the ends of motions. Bodies that an earlier problem has joined are not
         joined again.
         """
         never = np.zeros(len(pairs), dtype=bool)
@@ -324,7 +325,7 @@ class Problem:
 
     @property
     def in_open_parts(self) -> Problem:
-        """The problem for bounds on distances, which are less than 0 inside a solid."""
+        """The problem for bounds on distances; these bounds are negative inside a solid."""
         return self.open_cut or self
 
     @kept

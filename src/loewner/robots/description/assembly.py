@@ -77,7 +77,7 @@ class Part(Generic[R]):
         The columns of the part's values in a configuration of the joined robot: ``Q[..., part.columns]`` are
         configurations of `robot`, and assigning to these entries moves only this robot.
     joint_names, link_names : tuple of str
-        The part's joints and links, by their names in the joined robot.
+        Names of the part's joints and links in the joined robot.
 
     Examples
     --------
@@ -529,7 +529,7 @@ def _combined(pieces: Sequence[_Piece], name: str) -> Any:
 
 
 def _above(piece: _Piece) -> dict[str, tuple[str, str | None]]:
-    """Return the joints above the links of a piece, and the links' parents, by their names in the combined robot."""
+    """Return the joint above each link of a piece, and the link's parent, with the names of the combined robot."""
     left_out = piece.robot.link_names[0] if piece.without_root else None
     above = {}
     for link in piece.robot.link_names[piece.without_root :]:

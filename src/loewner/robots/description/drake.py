@@ -159,7 +159,7 @@ def _screw_axis(plant: Any, joint: Any) -> Floats:
 
 
 def _shapes(plant: Any, inspector: Any, links: Mapping[int, str], tol: float) -> tuple[list[Any], list[Shape]]:
-    """Read all geometry that has a role in collisions."""
+    """Read all collision geometry."""
     geometries, shapes, unread = [], [], []
     for frame in inspector.GetAllFrameIds():
         body = plant.GetBodyFromFrameId(frame)

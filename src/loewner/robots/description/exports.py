@@ -126,7 +126,7 @@ def _shapes(link: ElementTree.Element, robot: Any, path: Path, mesh_prefix: str,
 
 
 def _stays_solid(mesh: Mesh) -> bool:
-    """Return whether `from_urdf` turns a mesh into a solid again, instead of its hull."""
+    """Return whether `from_urdf` would turn a mesh into a solid again, not into its hull."""
     return hull_or_solid(*mesh)[0] == "solid"
 
 

@@ -31,8 +31,8 @@ from loewner.robots.description.urdf import Description, Shape
 # glTF files may keep their points in other files, so their own bytes do not determine their content.
 NOT_CACHED = (".gltf", ".glb")
 
-# Representations of a link's mesh, and the default. "hull" is the convex hull, "pieces" are convex pieces, and
-# "surface" are the triangles. For "auto", `link_meshes.hull_or_solid` chooses between the hull and the solid that the
+# Representations of a link's mesh, and the default. "hull" means the convex hull, "pieces" means convex pieces, and
+# "surface" means the triangles. For "auto", `link_meshes.hull_or_solid` chooses between the hull and the solid that the
 # mesh encloses.
 MeshModel = Literal["hull", "pieces", "surface", "auto"]
 MODELS: tuple[MeshModel, ...] = get_args(MeshModel)

@@ -133,7 +133,7 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
 
 
 def _boundary(triangles: Ints) -> tuple[Ints, Ints]:
-    """Find edges that triangles traverse more often from `start` to `end` than back; repeat each for every surplus."""
+    """Find edges that triangles traverse more often from `start` to `end` than back, once per surplus traversal."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     count = int(triangles.max()) + 1
     edge, of = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)

@@ -56,7 +56,7 @@ QUATERNION_TOLERANCE = 1e-6
 # Kinds of joints whose last four values are a quaternion.
 WITH_QUATERNION = ("floating", "ball")
 
-# Number of links above which a robot's balls are drawn more coarsely in pictures.
+# If a robot has more links than this number, its balls are drawn more coarsely in pictures.
 MANY_LINKS = 30
 
 # Smallest number of configurations that a thread takes at a time: about 0.1 ms of work.
@@ -65,8 +65,8 @@ LEAST_SHARE = 1024
 # Formats of files that describe the shapes of links; see `Robot.with_cover` and `Robot.save_cover`.
 CoverFormat = Literal["curobo", "vamp", "foam", "pyroki", "urdf", "mjcf", "scene"]
 
-# Implementations of `Robot.prove_pairs`, `free_range` and the methods on covers. The modules `pair_ranges`, `covers`
-# and `cover_files` import this module, so they put their functions here.
+# Implementations of `Robot.prove_pairs`, `free_range`, `swept` and the methods for covers. The modules that implement
+# these methods import this module, so they register their functions here.
 answers: dict[str, Callable[..., Any]] = {}
 
 
@@ -248,12 +248,12 @@ class Robot(KeepsReadOnly):
             Packages, or folders that contain packages, in which to find ``package://`` and ``model://`` paths. The
             folders in ROS's environment variables and the folders above the URDF are also searched.
         meshes : {"auto", "hull", "pieces", "surface"}
-            Representation of each collision mesh. "auto", the default: a closed mesh becomes its hull if the hull is
-            proven to stick out by at most the larger of 1 mm and 1 % of the mesh's diameter, and otherwise the solid
-            that the mesh encloses. Holes of a nearly closed mesh are closed first; any other open mesh becomes its
-            hull. The attribute `shapes` describes the results. "hull": the convex hull, which contains the mesh.
-            "pieces": convex pieces, into which `Body.from_mesh` splits a non-convex mesh. "surface": the mesh's
-            triangles (`Body.from_surface`), and the space that they enclose if the mesh is closed.
+            Representation of each collision mesh. "auto", the default: a closed mesh becomes its hull or the solid that
+            it encloses. The hull is used if it is proven to stick out by at most the larger of 1 mm and 1 % of the
+            mesh's diameter. Holes of a nearly closed mesh are closed first; any other open mesh becomes its hull. The
+            attribute `shapes` describes the results. "hull": the convex hull, which contains the mesh. "pieces": convex
+            pieces, into which `Body.from_mesh` splits a non-convex mesh. "surface": the mesh's triangles
+            (`Body.from_surface`), and the space that they enclose if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         pairs : {"adjacent", "proven"}, optional
@@ -1290,10 +1290,10 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A cuRobo configuration or sphere file, or an XRDF. A URDF with spheres, from VAMP or foam. A JSON file with
-            spheres, for pyroki or from foam. Any other URDF; an SRDF with the same stem is read, too. An MJCF file
-            whose bodies have the names of the links. A scene whose bodies have the names of the links, and poses in the
-            frames of the links.
+            One of the following files: a cuRobo configuration or sphere file, or an XRDF; a URDF with spheres, from
+            VAMP or foam; a JSON file with spheres, for pyroki or from foam; any other URDF, which is read together with
+            an SRDF with the same stem; an MJCF file; or a scene. The bodies of an MJCF file or a scene must have the
+            names of the links, and the bodies of a scene must have poses in the frames of the links.
         format : str, optional
             The program for which the file was made. By default the suffix and the keys determine the format. In the
             formats "curobo", "vamp", "foam" and "pyroki", numbers are rounded to float32, as in these programs.
@@ -1535,11 +1535,12 @@ class Robot(KeepsReadOnly):
         Notes
         -----
         Solutions are within the limits, except for values kept from a start outside the limits. For a pose at (x, y, z)
-        in metres, solutions meet the tolerance of the position up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m, and the
-        tolerance of the rotation up to 1e-10 in twice the sine of half the angle. A search that finds no solution does
-        not prove that no solution exists; more seeds find more solutions. A joint that can turn by more than a whole
-        turn is returned at the angle nearest to the start. Which solution comes first does not depend on the number of
-        threads.
+        in metres, solutions meet the tolerance of the position up to 1e-10 (1 + abs(x) + abs(y) + abs(z)) m. They meet
+        the tolerance of the rotation up to 1e-10, measured as twice the sine of half the angle.
+
+        A search that finds no solution does not prove that no solution exists; more seeds find more solutions. A joint
+        that can turn by more than a whole turn is returned at the angle nearest to the start. Which solution comes
+        first does not depend on the number of threads.
 
         Each seed is improved by damped Newton steps, eight seeds at a time, and is abandoned when the steps bring too
         little progress. A redundant arm has infinitely many solutions; nearly every seed finds a different solution.
@@ -1600,7 +1601,7 @@ class Robot(KeepsReadOnly):
             length by more than a metre and ten times the range of the limits), or if a joint that turns without limits
             is outside ±50 rad. The warning names the joint, and suggests that values may be in degrees or millimetres.
         """
-        # A fast path for a single configuration, whose few entries cost less than NumPy's overhead.
+        # A fast path for a single configuration: a check of its few entries takes less time than NumPy's overhead.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q

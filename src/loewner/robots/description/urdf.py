@@ -85,7 +85,7 @@ HARMLESS = {
     "safety_controller": frozenset(("@k_position", "@k_velocity")),  # gains
 }  # fmt: skip
 
-# The limits of mimicking joints may narrow a joint's range to this share at most. A smaller share is a mistake, or
+# The limits of mimicking joints must leave at least this share of a joint's range. A smaller share is a mistake, or
 # means that the limits of the mimicking joints were never used, as in the grippers of the PR2.
 LEAST_LEFT = 0.1
 
@@ -144,7 +144,7 @@ class Mimic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint: `kind` is URDF's type, and the unit vector `axis` and the pose `origin` are in URDF's frames.
+    """A joint. `kind` is URDF's type; the unit vector `axis` and the pose `origin` are in URDF's frames.
 
     A joint made in memory has the line 0. The `axis` of a joint whose kind has no axis is meaningless.
 

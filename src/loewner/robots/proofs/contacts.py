@@ -32,7 +32,7 @@ from loewner.robots.proofs.motions import STEPS, Found, Limit
 STRETCHES = 2.0 ** -np.arange(16)
 
 # At the end of a stretch, values deviate from a straight motion by less than the share OFF, since `motion_path` rounds
-# by at most 7 units. On a course of a higher degree, they deviate by less than the share `CURVE_ROUNDINGS`.
+# by at most 7 times 2^-53. On a course of a higher degree, they deviate by less than the share `CURVE_ROUNDINGS`.
 OFF = 32 * 2.0**-53
 
 # Distances below the share LEAST_SHARE of the robot's reach have no reliable normal.
@@ -52,7 +52,7 @@ TOUCHING = 1e-9
 # robot's reach.
 PARTED = 1e-4
 
-# Number of places on each course at which the distance is measured first, and maximum number of all places.
+# Number of places on each course at which the distance is measured first, and maximum total number of places.
 SAMPLES, MOST_SAMPLES = 8, 2**17
 
 

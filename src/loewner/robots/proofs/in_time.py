@@ -42,7 +42,7 @@ STILL = 1e-9
 
 
 class Pieces(NamedTuple):
-    """Motions cut where bodies change their rates.
+    """Motions that are cut where bodies change their rates.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
 def _write_courses(a: Floats, b: Floats, out: Floats) -> Floats | float:
     """Write courses of bodies between their values a and b, shape (M, bodies, 7), to shape (M, points, bodies, 7).
 
-    The result is how far the quaternions miss a turn at a constant rate, shape (M, bodies), or 0.
+    Return how far the quaternions deviate from a turn at a constant rate, shape (M, bodies), or 0.
     """
     points = out.shape[1]
     p, q = a[..., 3:], b[..., 3:]

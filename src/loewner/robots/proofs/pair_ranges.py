@@ -44,14 +44,14 @@ from loewner.robots.proofs.proof_models import model_of
 from loewner.robots.proofs.range_proofs import Claim, proof_of_ranges
 from loewner.scenes.scene import Scene
 
-# Number of configurations that are tried first, and of boxes that are examined at a time.
+# Number of configurations that are tried first, and number of boxes that are examined at a time.
 TRIED = 512
 AT_ONCE = 4096
 
-# Least number of boxes that each pair gets at a time.
+# Minimum number of boxes that each pair gets at a time.
 FIRST_BOXES = 1000
 
-# Least tolerance of a proof [m].
+# Minimum tolerance of a proof [m].
 LEAST_TOLERANCE = 1e-12
 
 # If joints follow a value without limits, the range of the value is a common period of the joints. The denominators of

@@ -150,7 +150,7 @@ _known: WeakKeyDictionary[Problem, Model] = WeakKeyDictionary()
 
 
 def model_of(ready: Problem) -> Model:
-    """Make the model of the pairs to check, once for each problem.
+    """Make the model of the pairs to check; the model is cached for each problem.
 
     Raises
     ------
@@ -349,7 +349,7 @@ def of_bodies(bodies: Placed) -> bytes:
 
 
 def of_pairs(group: Ints, pairs: Ints, margins: Floats) -> bytes:
-    """Write which pairs are not to be checked, and the margins of the other pairs."""
+    """Write the pairs that are not checked, and the margins of the other pairs."""
     moving = int((group >= 0).sum())  # moving bodies come first; pairs in the world are not checked
     unchecked = np.triu(group[:moving, None] != group, 1)
     unchecked[pairs[:, 0], pairs[:, 1]] = False
