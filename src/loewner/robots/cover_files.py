@@ -33,8 +33,8 @@ from loewner.scenes.files import load_scene, save_scene
 
 FORMATS: tuple[CoverFormat, ...] = get_args(CoverFormat)
 
-# Formats with spheres only. Programs that use these formats compute in float32, so numbers are rounded to float32,
-# outwards when written.
+# Formats with spheres only. Programs that use these formats compute in float32, so numbers are rounded to float32. When
+# a file is written, they are rounded outwards.
 OF_SPHERES = ("curobo", "vamp", "foam", "pyroki")
 
 # Formats, keyed by the suffix of the file. If several formats have the same suffix, the keys in the file decide.

@@ -38,7 +38,7 @@ from loewner.robots.checking.edges import checked_path
 from loewner.robots.checking.problem import Problem
 from loewner.robots.description.robot import Robot, answers, link_poses
 from loewner.robots.proofs.courses import configurations
-from loewner.robots.proofs.curves import Curve, expect_carried, joint_errors, of_path, started
+from loewner.robots.proofs.curves import Curve, curves_of, joint_errors, of_path
 from loewner.scenes.scene import Scene
 
 # Shares of the tolerance. PIECES is for replacing solids and curved shapes with convex pieces, VERTICES for leaving out
@@ -183,9 +183,7 @@ def _curve(robot: Robot, scene: Scene, given: Any) -> Curve:
     """Return the courses of a curve or a path."""
     if isinstance(given, (np.ndarray, list, tuple)):
         return of_path(robot, checked_path(robot, given))
-    curve = started(robot, given, "curve")
-    expect_carried({body: one.link for body, one in scene.attachments.items()}, curve.carried)
-    return curve
+    return curves_of(robot, scene, given)[0]
 
 
 def _chosen(robot: Robot, ready: Problem, links: str | Iterable[str] | None) -> Ints:

@@ -104,21 +104,20 @@ def link_bodies(
     def fit(file: Path, shape: Shape) -> Body:
         return (_kept_body if cache else _mesh_body)(file, shape, model, tol)
 
-    shapes, parts = [(link, shape) for link, own in robot.shapes.items() for shape in own], list[Body]()
-    for link, shape in shapes:
-        parts.append(_body(shape, link, robot.path, package_dirs, fit))
-        progress(len(parts), len(shapes))
+    shapes = [(link, shape) for link, own in robot.shapes.items() for shape in own]
     parts_of, words_of = {link: list[Body]() for link, _ in shapes}, {link: list[str]() for link, _ in shapes}
-    for (link, shape), part in zip(shapes, parts, strict=True):
+    for done, (link, shape) in enumerate(shapes, 1):
+        part = _body(shape, link, robot.path, package_dirs, fit)
         parts_of[link].append(part)
         words_of[link].append(described(part) if shape.kind == "mesh" else shape.kind)
+        progress(done, len(shapes))
     if model == "auto":
         for link, words in words_of.items():
             log.info("%s, link %r: %s", robot.path, link, "; ".join(words))
         names = (f"{PurePosixPath(shape.file_name).name} of {link!r}" for link, shape in shapes)
         named = zip(names, chain.from_iterable(words_of.values()), strict=True)
         warn_of_open_meshes(robot.path, named, "meshes='surface' (--model surface)")
-    for (link, shape), part in zip(shapes, parts, strict=True):
+    for (link, shape), part in zip(shapes, chain.from_iterable(parts_of.values()), strict=True):
         if doubt := _doubt(shape, part):
             warn(f"{robot.path}, link {link!r}: expected {doubt}")
             break

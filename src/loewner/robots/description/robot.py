@@ -409,9 +409,9 @@ class Robot(KeepsReadOnly):
         FileError
             If the file is missing, or MuJoCo refuses it.
         InputError
-            If a geom that collides is a signed distance field.
+            If a colliding geom is a signed distance field.
         GeometryError
-            If a mesh that collides is flat.
+            If a colliding mesh is flat.
         MissingExtraError
             If MuJoCo is not installed.
 
@@ -463,10 +463,10 @@ class Robot(KeepsReadOnly):
         Raises
         ------
         InputError
-            If `model` or `data` is not an object of MuJoCo, or `data` belongs to a different model; if a geom that
-            collides is a signed distance field.
+            If `model` or `data` is not an object of MuJoCo, or `data` belongs to a different model. If a colliding geom
+            is a signed distance field.
         GeometryError
-            If a mesh that collides is flat.
+            If a colliding mesh is flat.
 
         Warns
         -----
@@ -1963,11 +1963,8 @@ def unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
     Some programs write 1e16 or the largest number for "no limit"; such values count as no limit.
     """
     below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
-    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
-    moved = tree.kind != kernel_columns.FIXED
-    turns = (tree.kind == kernel_columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
-    turning[tree.column[moved]] = True
-    turning[tree.column[moved & ~turns]] = False  # unless all links that the column moves turn by whole multiples
+    tree, turning = robot.tree, reaching.wrapping(robot.tree, robot.dof)
+    turning[tree.column[tree.kind == kernel_columns.PLANAR] + 2] = False  # planners move only joints with one value
     return below, above, turning & below & above
 
 

@@ -194,7 +194,7 @@ class _Question:
 
     @property
     def proven_free(self) -> bool:
-        """Whether all of the range is proven free."""
+        """Whether the whole range is proven free."""
         return not (self.waiting or self.always or self.reason)
 
     @property
