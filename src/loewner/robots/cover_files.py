@@ -65,7 +65,7 @@ OF_CUROBO = frozenset((
 ))  # fmt: skip
 OF_FOAM = ("mean", "best", "worst", "spheres")
 
-# Words in notes for the spheres that are ignored in files of pyroki and foam.
+# Term that notes use for the spheres that are ignored in pyroki and foam files.
 WITHOUT_SIZE = "spheres with a radius of 0 or less"
 
 

@@ -125,8 +125,8 @@ class _Element(NamedTuple):
     ----------
     part, first, last : int
     growth, grown : float
-        The hull has to be grown by `growth` [m], and it is grown by `grown` [m]. The difference allows for rounding the
-        vertices to single precision.
+        `growth` is the growth that the hull needs, and `grown` is its actual growth [m]. The difference allows for
+        rounding the vertices to single precision.
     excess : float
         Bound on how far the grown hull sticks out of the body's swept volume [m].
     """
@@ -270,7 +270,7 @@ def _cut(vertices: Floats, triangles: Ints, solid: bool, room: float) -> list[tu
 
 
 def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
-    """Return the corners of a polytope around a ball about the origin, and how far it sticks out."""
+    """Return the corners of a polytope around a ball about the origin, and how far the polytope sticks out."""
     for level in range(4):
         unit, inside = ball(level)[0], inradius(level) * (1 - ROUNDINGS)
         out = radius * (1 / inside - 1)
@@ -280,7 +280,7 @@ def _grown_ball(radius: float, room: float) -> tuple[Floats, float]:
 
 
 def _around(kind: int, radius: float, center: Floats, factor: Floats, room: float) -> tuple[Floats, float]:
-    """Return points whose hull contains a curved piece, and how far it sticks out."""
+    """Return points whose hull contains a curved piece, and how far the hull sticks out."""
     shape, up = CURVED[kind], 1 + ROUNDINGS
     if shape.core is not None:  # a ball along a segment
         ends = np.array([[shape.core], [-shape.core]]) * factor[:, 2]

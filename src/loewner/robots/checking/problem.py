@@ -130,7 +130,7 @@ class Problem:
         reaching: Bools | None = None,
         before: Problem | None = None,
     ) -> Problem:
-        """Prepare pairs of bodies for two versions of the scene, as in the attributes; `with_poses` sets static poses.
+        """Prepare pairs of bodies; `versions` are `version` and `structure_version`. `with_poses` sets static poses.
 
         By default, no pair may be in contact at the ends of motions. Bodies that an earlier problem has joined are not
         joined again.

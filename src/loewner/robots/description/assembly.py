@@ -219,7 +219,7 @@ def footprint_body(polygon: ArrayLike, height: float) -> Body:
     Raises
     ------
     InputError
-        If the polygon has fewer than three corners, is flat or crosses itself; or the height is not positive.
+        If the polygon has fewer than three corners, is flat or crosses itself. If the height is not positive.
     """
     corners = _validate.finite_array(polygon, "polygon", ("n", 2))
     top = _validate.positive_scalar(height, "height")

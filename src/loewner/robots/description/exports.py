@@ -185,7 +185,8 @@ def _limits(robot: Any, column: int, mimic: Mimic | None) -> dict[str, Any]:
     if mimic is not None:
         _, multiplier, offset = mimic
         lower, upper = sorted(multiplier * end + offset for end in hard) if multiplier else (offset, offset)
-        # Leave the limits out if they would narrow the followed joint's limits, which already imply them.
+        # If rounding would make these limits narrow the followed joint's limits, leave them out: the followed joint's
+        # limits already imply them.
         back = sorted((end - offset) / multiplier for end in (lower, upper)) if multiplier else hard
         rounded = abs(back[0] - hard[0]) > LEAST_CUT / 2 or abs(back[1] - hard[1]) > LEAST_CUT / 2
         if rounded or max(-lower, upper) > FARTHEST_LIMIT:

@@ -187,7 +187,7 @@ def checked_joint(joint: Joint, of: str) -> tuple[urdf.Joint, Floats | None]:
 
 
 def _pose(T: ArrayLike | None, name: str) -> Floats:
-    """Check a pose, and refuse numbers with which products of poses could overflow."""
+    """Check a pose, and refuse numbers so large that products of poses could overflow."""
     pose = _validate.pose(T, name)
     if np.abs(pose).max() > LARGEST:
         raise InputError(f"{name}: expected numbers within ±{LARGEST:g}, found {np.abs(pose).max():g}")

@@ -822,8 +822,8 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            The URDF. The SRDF has the suffix ``.srdf``. Meshes are written next to the URDF, to files
-            ``STEM-DIGEST.obj``, as by `Body.to_urdf`.
+            The URDF. The SRDF has the suffix ``.srdf``. Meshes are written to files ``STEM-DIGEST.obj`` next to the
+            URDF, as by `Body.to_urdf`.
         mesh_prefix : str
             Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
@@ -1316,7 +1316,7 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the file has spheres that are disabled or unused, or keys that are not read; if links have no shapes.
+            If the file has spheres that are disabled or unused, or keys that are not read. If links have no shapes.
 
         Examples
         --------

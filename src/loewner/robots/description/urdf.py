@@ -540,7 +540,7 @@ def _warn_of_extensions(root: Element, joints: dict[str, Joint]) -> None:
 
 
 def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
-    """List limits in <ros2_control> that are narrower than the joints' limits, and mimics that joints do not have."""
+    """List limits in <ros2_control> that are narrower than the joints' limits, and mimics that the joints lack."""
     listed = (child for control in root.children if control.tag == "ros2_control" for child in control.children)
     for element in listed:
         joint = joints.get(element.attributes.get("name", ""))
@@ -557,7 +557,7 @@ def _controlled(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
 
 
 def _simulated(root: Element, joints: dict[str, Joint]) -> Iterator[str]:
-    """List mimics of Gazebo's plugins that joints do not have."""
+    """List mimics of Gazebo's plugins that the joints lack."""
     waiting = [child for child in root.children if child.tag == "gazebo"]
     while waiting:
         element = waiting.pop()

@@ -19,7 +19,7 @@ from loewner.errors import InputError
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
-# A larger angle of a joint without limits is probably in degrees: about eight turns [rad].
+# Larger angles of joints without limits are probably in degrees. The number is about eight turns [rad].
 LARGEST_TURN = 50.0
 
 # Larger values of joints are refused [rad or m], so that no pose is NaN. Accepted values stay finite when they are

@@ -101,7 +101,7 @@ class Expansion(NamedTuple):
 
 
 def _text(name: object, value: object) -> str:
-    """Return the value of an argument as it would be on a command line."""
+    """Return the value of an argument as it would be written on a command line."""
     if not isinstance(name, str) or not isinstance(value, (str, int, float)):
         raise InputError(
             f"xacro_args: expected texts, numbers or bools by name, found {_validate.short(value)} for "

@@ -241,7 +241,7 @@ def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
 
 
 def worst(checker: Any, given: Any) -> ClosestApproach:
-    """Measure a curve in any form; pairs that may touch count only where they keep their margins or are not proven."""
+    """Measure a curve in any form; a pair that may touch counts only where it keeps its margin or is unproven."""
     curve, trajectory = proven(checker, given, 0.0)
     return along(checker, curve, np.flatnonzero(trajectory.segments.verdict != codes.FREE)).near
 

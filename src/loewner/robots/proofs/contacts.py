@@ -262,7 +262,7 @@ class _Left(NamedTuple):
 
 
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
-    """Return a run from each end at which contact is allowed, whether this end is the start, and the largest depth.
+    """For each end with allowed contact, return the run from it, whether it is the start, and the largest depth.
 
     A contact at the start may have any depth, since a motion cannot change it. A contact at the end may be no deeper
     than the tolerance.
@@ -470,7 +470,7 @@ def _beside_planes(ready: Problem, pair: int, run: Run, end: float, tolerance: f
 
     Also return the tolerance for the proof that the pieces stay in front. The plane of touching pieces is moved back by
     most of the tolerance; the plane of separate pieces is moved back until only their margin is left. Normals are
-    sought up to the place `end` on the run, which is the index of a course plus a fraction.
+    sought from the start of the run up to `end`, the index of a course plus a fraction.
     """
     i, j = (int(k) for k in ready.pairs[pair])
     places = np.append(0.0, end * STRETCHES[::-1])
