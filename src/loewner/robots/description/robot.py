@@ -1291,9 +1291,9 @@ class Robot(KeepsReadOnly):
         ----------
         path : path
             One of the following files: a cuRobo configuration or sphere file, or an XRDF; a URDF with spheres, from
-            VAMP or foam; a JSON file with spheres, for pyroki or from foam; any other URDF, which is read together with
-            an SRDF with the same stem; an MJCF file; or a scene. The bodies of an MJCF file or a scene must have the
-            names of the links, and the bodies of a scene must have poses in the frames of the links.
+            VAMP or foam; a JSON file with spheres, for pyroki or from foam; any other URDF, with its SRDF if there is
+            one with the same stem; an MJCF file; or a scene. The bodies of an MJCF file or a scene must have the names
+            of the links, and the bodies of a scene must have poses in the frames of the links.
         format : str, optional
             The program for which the file was made. By default the suffix and the keys determine the format. In the
             formats "curobo", "vamp", "foam" and "pyroki", numbers are rounded to float32, as in these programs.
