@@ -413,8 +413,8 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t poin
 }
 
 /* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL if the robot brakes on the
-   path. A robot that is faster by the velocity error travels farther and comes to rest later. `steps` limits the steps
-   of the proof of a joint-by-joint brake as a whole. */
+   path. A robot that is faster by the velocity error travels farther and comes to rest later. A joint-by-joint brake is
+   first proven as one course, in at most `steps` steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
@@ -452,7 +452,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, const double
     return prove_course(gate, gate->courses, points, gate->widened, end, begin + stands, proof);
 }
 
-/* Prove motions, and then the brakes from their ends, until a motion or a brake is not free. */
+/* Prove the motions, then the brake that begins at the end of each motion. Stop at the first that is not free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;

@@ -22,7 +22,7 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, and `joints` values move. */
+    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, of which `joints` move. */
     int64_t *columns, *turning;
     double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals. */
     size_t goal_count;
@@ -208,8 +208,8 @@ static loewner_status connect(const Judge *judge, Search *search, int64_t *count
                   : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
 
-/* Shorten the path in the workspace, in which all motions must be free. If the number of cuts is negative, leave the
-   path unchanged. */
+/* Shorten the path that `judge->workspace` holds. All motions of the path must be free. If the number of cuts is
+   negative, leave the path unchanged. */
 static loewner_status cut_corners(const Judge *judge, int64_t *count)
 {
     const loewner_plan_options *options = &judge->plan;

@@ -2,8 +2,8 @@
 
 # -- pieces, described in `pieces.shapes` ----------------------------------------------------------
 
-# Kinds above POLYTOPE are curved, and kinds below MAPPED are surfaces. For kernels, the points of a surface are the
-# corners of a box around it.
+# Kinds above POLYTOPE are curved, and kinds below MAPPED are surfaces. In the tables, the points stored for a surface
+# are the corners of a box around it.
 SOLID, SURFACE, MAPPED = -3, -2, -1
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 

@@ -80,7 +80,7 @@ def _number(x: float, rounded: Callable[[float], float]) -> str:
 
 
 def entries(model: loewner.Robot, reports: Reports) -> dict[str, dict[str, Any]]:
-    """Convert all reports to the form of JSON. Infinite distances become null."""
+    """Convert all reports to values that JSON can hold. Infinite distances become null."""
 
     def ends(pair: tuple[float, float]) -> list[float | None]:
         return [end if np.isfinite(end) else None for end in pair]

@@ -53,7 +53,7 @@ def is_on_gpu(x: Any) -> bool:
 
 
 def taken(x: Any, name: str, device: Device) -> View:
-    """Return the address of a float32 array on the GPU, after checks.
+    """Check a float32 array on the GPU, and return a view with its address.
 
     All later work on the device's stream waits for pending work on the array's own stream.
 

@@ -34,7 +34,7 @@ class Sheet:
     head : tuple of str
     rows : tuple of tuple of str
     note : str
-        Explanation of the table, and the source of the paper's numbers in the table.
+        Explanation of the table, including the place in the paper from which its numbers are quoted.
     """
 
     title: str

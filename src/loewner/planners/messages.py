@@ -123,8 +123,7 @@ class State:
     places : dict
         For each joint with several values, an array of 7 numbers: position [m] and quaternion x, y, z, w.
     carried : dict
-        For the name of each body that the robot carries: the link that carries the body, and links that the body may
-        touch.
+        For each carried body, by name: the link that carries it, and the links that it may touch.
     sources : dict
         For each joint, the keys of the state or of the earlier trajectory from which its values come.
     """

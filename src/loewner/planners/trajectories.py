@@ -450,9 +450,9 @@ class Trajectory(KeepsReadOnly):
             ``blend`` is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and ``.json``
             files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with the positions and velocities
             at whole nanoseconds. Each row is moved to the nearest nanosecond, rows at the same nanosecond are merged,
-            and the end is rounded up. Accelerations that jump are not written, because a controller that interpolates
-            only positions and velocities follows the trajectory. Unless `start_time` is 0, a ``.csv`` file contains it
-            in a comment in the first line. A message does not contain it.
+            and the end is rounded up. Accelerations that jump are not written: without them, a controller interpolates
+            only positions and velocities, and follows the trajectory exactly. Unless `start_time` is 0, a ``.csv`` file
+            contains it in a comment in the first line. A message does not contain it.
         joints : sequence of str, optional
             Names of the columns to write, in this order. Default: all columns. If you omit columns, a proof of the
             whole trajectory holds only if the omitted joints also follow the trajectory, at the same times.

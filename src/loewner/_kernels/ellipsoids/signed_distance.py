@@ -59,8 +59,8 @@ GROWTH = 16.0  # Ratio between the distances of successive intervals from the mi
 _STACK = 160
 
 # The proof by an inner ellipsoid requires that M - h s is positive definite by a margin. The margin is SPARE times h s,
-# plus PIVOT_ROUNDINGS roundings of the trace of M, which is about twice the rounding of M's entries and pivots. Both
-# constants are choices, not bounds: no verdict depends on them.
+# plus PIVOT_ROUNDINGS roundings of the trace of M. The second term is about twice the rounding error of M's entries and
+# pivots. Both constants are choices, not bounds: no verdict depends on them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 

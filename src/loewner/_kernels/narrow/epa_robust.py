@@ -326,8 +326,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         # Cores that span no volume (points, parallel segments) have depth zero, because any shift perpendicular to
         # their plane or line separates them. The caller takes the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
-    # Faces 0..3 lie opposite corners 0..3. Once oriented, the corners of each face run counter-clockwise seen from
-    # outside.
+    # Faces 0..3 lie opposite corners 0..3. Once the tetrahedron is oriented, the corners of each face run
+    # counter-clockwise when seen from outside.
     if _volume(S) < 0.0:  # Swap two corners, so that the faces in the fixed table below point outward.
         for c in range(9):
             S[0, c], S[1, c] = S[1, c], S[0, c]

@@ -385,8 +385,8 @@ def measuring(supports):
             if length <= reach:
                 status = TOUCHING
                 break
-            # If the search makes no progress, or contact is too close for these products, `gjk_robust.run` must search
-            # the pair.
+            # Leave the pair to `gjk_robust.run` if the search makes no progress, or if the gap is within the rounding
+            # errors of these dot products.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:

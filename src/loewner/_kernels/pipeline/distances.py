@@ -199,9 +199,9 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
-    # The returned depth is the upper bound, from the support plane of its normal. Only a graze needs more accuracy, to
-    # distinguish it from a gap. Deep in a curved piece, that accuracy is not achievable, and requesting it degrades the
-    # witnesses.
+    # The returned depth is the upper bound, which is measured to the support plane perpendicular to the returned
+    # normal. Only a graze needs more accuracy, to distinguish it from a gap. Deep in a curved piece, that accuracy is
+    # not achievable, and requesting it degrades the witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:

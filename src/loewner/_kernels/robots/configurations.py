@@ -297,7 +297,7 @@ def _certify(query, keep, count, held):
             _mark_open(query, s)
     if _ended(query):
         return 0
-    # Waiting pairs are settled last, because settling them writes other lists to `listed`.
+    # Waiting pairs are settled last, because settling them overwrites `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
     return held

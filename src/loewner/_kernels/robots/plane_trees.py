@@ -48,7 +48,7 @@ HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3,
 # DEEPEST is the largest depth of a tree, which limits the digits of an interval's ends. Checkers allow 64 levels.
 DEEPEST = 40
 
-# The required gaps are enlarged by the factor SHARE, as room for checkers that compute with enclosures.
+# The required gaps are enlarged by the factor SHARE, to leave room for checkers that compute with intervals.
 SHARE = 1.0 + 2e-9
 
 # The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal. Therefore, SCALES

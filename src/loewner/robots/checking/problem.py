@@ -132,8 +132,8 @@ class Problem:
     ) -> Problem:
         """Prepare pairs of bodies; `versions` are `version` and `structure_version`. `with_poses` sets static poses.
 
-        By default, no pair may be in contact at the ends of motions. Bodies that an earlier problem has joined are not
-        joined again.
+        By default, no pair may be in contact at the ends of motions. If the problem `before` has packed the same bodies
+        into one array, that array is used again.
         """
         never = np.zeros(len(pairs), dtype=bool)
         if before is None or not _equal(packs[: len(link)], before.packs[: len(before.link)]):

@@ -70,7 +70,7 @@ def described(body: Body) -> str:
 
 
 def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead: str) -> None:
-    """Warn once about all meshes that are not closed, by name.
+    """Issue one warning that names all meshes that are not closed.
 
     Parameters
     ----------

@@ -26,9 +26,9 @@ KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     """Read the links and joints of a model, and the bodies of the links.
 
-    Each body of the model is a link in its own frame. If several joints move a body, or the anchor of its joint is not
-    at the body's origin, a chain of links without bodies is inserted above the body. Each additional part of a body is
-    a link that is fixed to the body's own link.
+    Each body of the model is a link in its own frame. If a body has several joints, or the anchor of its joint is not
+    at its origin, a chain of links without collision geometry is inserted above it. Each additional part of a body is a
+    link that is fixed to the body's own link.
     """
     above: dict[str, Joint] = {}
     links = {name for body in model.bodies for name in (body.name, *body.parts)}

@@ -1,4 +1,4 @@
-"""Represent answers about whether pairs of bodies can ever collide, and write the answers as SRDF rules."""
+"""Hold the verdicts on whether pairs of bodies can ever collide, and write them as SRDF rules."""
 
 from __future__ import annotations
 
