@@ -221,8 +221,10 @@ $(VENV)/.beside: requirements/demo.txt requirements/data.txt | $(BIN)/python
 $(VENV)/.demo: $(VENV)/.core $(VENV)/.beside
 	@touch $@
 
-$(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
-	$(COMPILE_ALL) & $(PIP) -r requirements/dev.txt; done=$$?; wait; exit $$done
+# Two processes of pip install half of the packages each. A third one finds what is missing on another system.
+$(VENV)/.dev: requirements/dev.txt requirements/tools.txt requirements/oracles.txt $(VENV)/.demo
+	$(COMPILE_ALL) & $(PIP) --no-deps -r requirements/oracles.txt & $(PIP) --no-deps -r requirements/tools.txt; wait
+	$(PIP) -r requirements/dev.txt
 	@$(COMPILE_ALL)
 	@touch $@
 
