@@ -22,7 +22,7 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, of which `joints` move. */
+    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values; `joints` values move. */
     int64_t *columns, *turning;
     double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals. */
     size_t goal_count;

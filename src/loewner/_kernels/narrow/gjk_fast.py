@@ -386,7 +386,7 @@ def measuring(supports):
                 status = TOUCHING
                 break
             # Leave the pair to `gjk_robust.run` if the search makes no progress, or if the gap is within the rounding
-            # errors of these dot products.
+            # errors of the dot products.
             if not (4.0 * error < length < before):
                 break
         if status == NEAREST:
