@@ -122,8 +122,8 @@ typedef struct {
 
 enum { SURFACE_ARRAYS = sizeof(Surface) / sizeof(Array2) };
 
-/* Which surfaces are cut into parts: none (WHOLE), all (CUT), or surfaces of static bodies except solids, into small
-   parts (OPEN_CUT). */
+/* Which surfaces are cut into parts: none (WHOLE), all (CUT), or the surfaces of static bodies that contain no solid,
+   into small parts (OPEN_CUT). */
 typedef enum { WHOLE, CUT, OPEN_CUT, CUTTINGS } Cutting;
 
 /* A mapped file. The bodies that a program opens are such a file; the files of checkers also describe a robot. */

@@ -28,9 +28,9 @@ BYTES = 200
 class SeenSpace:
     """A grid of cells, each either unknown or seen to be empty by a depth camera.
 
-    A cell is seen if it is projected onto pixels with measured depths, and lies completely in front of all these
-    depths. All other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image, or
-    where no depth was measured. Seen cells stay seen until `forget` is called.
+    A cell is seen if depths were measured at all pixels onto which it projects, and it lies completely in front of all
+    these depths. All other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image,
+    or where no depth was measured. Seen cells stay seen until `forget` is called.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Validate input: turn array-likes into checked float64 arrays in C order; and define types that signatures share.
 
-Returned arrays are finite float64 in C order. Only ``poses(check=False)`` does not check the entries: it leaves this to
-the kernels, which read the entries anyway and report a bad pose.
+Returned arrays are finite float64 in C order. ``poses(check=False)`` does not check whether poses are rigid: it leaves
+the entries to the kernels, which read them anyway and report a bad pose.
 """
 
 import math

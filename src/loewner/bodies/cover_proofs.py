@@ -554,8 +554,8 @@ def excess_of(target: Target, packed: Packed, model: Elements, tolerance: float)
     """Bound how far the elements of a model stick out of a body.
 
     A ball around a point at some depth in the body sticks out by no more than its radius minus this depth. A capsule is
-    a union of such balls. If this bound is much larger than the largest distance of trial points, or if the element is
-    of another kind, a circumscribed polytope replaces the element, and `protrusion` bounds how far the polytope sticks
+    a union of such balls. If this bound is not close to the largest distance of trial points, or if the element is of
+    another kind, a circumscribed polytope replaces the element, and `protrusion` bounds how far the polytope sticks
     out.
     """
     n, ways = len(model), ball(DIVISIONS)[0]

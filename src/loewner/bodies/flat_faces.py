@@ -22,7 +22,8 @@ def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
     Returns
     -------
     ndarray of int, shape (T,)
-        Two triangles that share an edge have the same number if they are coplanar or nearly coplanar.
+        Two triangles that share an edge have the same number if they are coplanar or nearly coplanar. Small triangles
+        of a smooth surface may therefore form a single curved face.
     """
     normals = normals_of(vertices[triangles])
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)

@@ -53,8 +53,8 @@ class Kind(NamedTuple):
     than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function of the unit
     shape. Covers refuse kinds without `gauge` or `support`.
 
-    For a kind with an added ball, `gauge` and `support` are not needed, and `mesh` triangulates the unit ball. `core`
-    is half the length of the segment to which the ball is added; it is 0 for a point.
+    For a kind with an added ball, `gauge` and `support` are not needed, and `mesh` triangulates the unit ball. The ball
+    is added to the image of a segment or of a point. `core` is half the length of this segment, 0 for a point.
     """
 
     name: str

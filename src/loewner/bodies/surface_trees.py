@@ -20,7 +20,8 @@ MOST_INSIDE = 8
 # Bound on the error of a shape matrix's root in single precision, in units of its roundoff.
 SINGLE_ROUNDINGS = 8.0
 
-# Bound on the rounding errors of an ellipsoid around the sum of an ellipsoid and a ball, relative to its size.
+# Bound on the rounding errors of an ellipsoid inside, or around, the sum of an ellipsoid and a ball, relative to its
+# size.
 SUM_ROUNDING = 2.0**-44
 
 

@@ -105,7 +105,7 @@ class GateAnswer(_validate.Brief):
         towards the second body. Both are computed for bodies at their given poses, and are NaN if there is no pair.
     brake : Trajectory
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then. If the
-        state is BRAKE, execute this brake immediately.
+        state is BRAKE, order this brake immediately.
     is_proven : bool
         Whether ``brake`` is proven free. The brake is proven unless nothing was proven before, the robot has left the
         proven tube, or the world has left its bounds.

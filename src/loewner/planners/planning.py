@@ -198,7 +198,7 @@ def plan(
     body straight towards the other one.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). The longest motion of a tree is a twelfth of the diagonal of the box that the limits
+    Yershova et al. (ICRA 2005). No motion of a tree is longer than a twelfth of the diagonal of the box that the limits
     form.
 
     Examples

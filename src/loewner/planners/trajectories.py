@@ -927,8 +927,8 @@ def trajectory(
     If the robot stops at every corner, the trajectory is the fastest one along the path. Without jerk limits, the
     acceleration is constant on a blend. With jerk limits, the acceleration is zero at both ends of a blend. Every blend
     is as fast as the limits and the neighbouring motions allow. Each joint stays within its limits at every instant, up
-    to rounding. If the jerk is limited, a millionth of each limit is reserved for rounding errors, and the shortest
-    phase of an arm takes about half a millisecond.
+    to rounding. If the jerk is limited, a millionth of each limit is reserved for rounding errors, and for an arm, no
+    phase is shorter than about half a millisecond.
 
     Examples
     --------

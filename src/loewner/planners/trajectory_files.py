@@ -98,7 +98,7 @@ def read(source: Path) -> Rows:
         if rows.rates is None and rows.bends is not None:
             raise InputError("expected accelerations beside velocities and blends, found them alone")
         if rows.rates is None and (not len(rows.times) or not (np.diff(rows.times) > 0).all()):
-            raise InputError("expected times that increase, found others")  # velocities are divided by them
+            raise InputError("expected times that increase, found others")  # velocities need steps above 0
         if rows.rates is None and len(rows.times) != len(rows.knots):
             raise InputError(f"expected a time for each position, found {len(rows.times)} and {len(rows.knots)}")
         return rows

@@ -272,7 +272,7 @@ def _bits_of(words, places):
 
 @njit()
 def _best_for(point, step, by_point, missed, left, weight, last, gain):
-    """Among the candidates that hold a point and were not just dropped, find the one with the most missed weight."""
+    """Find the candidate with the most missed weight that holds a point and was not dropped in this step."""
     words, every = by_point.shape[1], (left + SEEN - 1) // SEEN
     for j in range(0, left, every):
         p = missed[j]

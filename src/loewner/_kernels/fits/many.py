@@ -197,7 +197,10 @@ def _nearest(A, best, best_at):
 
 @njit()
 def _sticking_in(A, x, low, limit, best, best_at):
-    """In each sector, find the face that the ellipsoid exceeds most, if by more than `limit`; return their number."""
+    """In each sector, find the face that the ellipsoid exceeds most, if by more than `limit`.
+
+    Return how many faces the ellipsoid exceeds by more than `limit`, in all sectors together.
+    """
     for s in range(SECTORS):
         best[s] = limit
         best_at[s] = -1

@@ -209,7 +209,7 @@ def from_face(x, face):
 
 @inline
 def _to_face(x, face, least):
-    """Squared distance of a point from a face; `least` if this is smaller or if the foot lies outside."""
+    """Squared distance of a point from a face if the foot is inside and the result is below `least`; else `least`."""
     inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 

@@ -60,7 +60,7 @@ def off_the_robot(
     q : array_like, shape (dof,)
         The configuration at which the points were measured.
     clear : float
-        Distance in metres, > 0. It should exceed the sensor's noise and the error of the robot's pose.
+        Distance in metres, > 0. It must exceed the sensor's noise and the error of the robot's own pose.
     time : float, optional
         Time in seconds, on the clock of the scene's motions. By default, points on bodies that follow motions are kept.
     mask : bool

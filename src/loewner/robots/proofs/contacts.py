@@ -262,7 +262,7 @@ class _Left(NamedTuple):
 
 
 def _runs(ready: Problem, pair: int, courses: Floats, off: Floats, tolerance: float) -> list[tuple[Run, bool, float]]:
-    """For each end with allowed contact, return the run from it, whether it is the start, and the largest depth.
+    """For each end with allowed contact, return the run from it, whether it is the start, and the depth allowed.
 
     A contact at the start may have any depth, since a motion cannot change it. A contact at the end may be no deeper
     than the tolerance.

@@ -147,8 +147,8 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     scene : Scene
         The scene. Other threads may change it during the call; its state at one instant is written.
     path : path
-        The files of the bodies are written first; then this file is written under a temporary name and renamed. An
-        older file is replaced only if it has the same path.
+        The files of the bodies are written first; then this file is written under a temporary name and renamed. A
+        file with the same path is replaced. All other files of an older scene are neither changed nor removed.
 
     Raises
     ------
