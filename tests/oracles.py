@@ -683,11 +683,14 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
-def directional_distance(a: Support, b: Support, directions: int = 2000) -> tuple[float, np.ndarray]:
+def directional_distance(
+    a: Support, b: Support, directions: int = 2000, finest: float = 1e-14
+) -> tuple[float, np.ndarray]:
     """Signed distance of two convex bodies as the largest gap between supporting planes.
 
-    A global grid of directions, then shrinking local searches from the best dozen. Each direction
-    tried is a valid lower bound, so an error can only make the answer too small.
+    A global grid of directions, then local searches from the best dozen, which shrink to the finest
+    turns, in radians. Each direction tried is a valid lower bound, so an error can only make the
+    answer too small.
 
     Returns
     -------
@@ -713,7 +716,7 @@ def directional_distance(a: Support, b: Support, directions: int = 2000) -> tupl
     angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     n, best = grid[starts], values[starts]
     reach, failures = np.full(len(n), 4 / directions**0.5), np.zeros(len(n))
-    while (reach > 1e-14).any():
+    while (reach > finest).any():
         u = np.cross(n, np.eye(3)[np.abs(n).argmin(axis=1)])
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         w = np.cross(n, u)

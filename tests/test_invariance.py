@@ -11,18 +11,24 @@ from sampling import quick
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
 
-COUNT, ROUNDS = 8, 25
+COUNT = 8  # bodies of each family
+
+
+@pytest.fixture(scope="module", params=quick(8, 25))
+def rounds(request: pytest.FixtureRequest) -> int:
+    """How many poses there are of each body."""
+    return request.param
 
 
 @pytest.fixture(scope="module", params=sorted(FAMILIES))
-def pairs(request: pytest.FixtureRequest):
+def pairs(request: pytest.FixtureRequest, rounds: int):
     rng = np.random.default_rng(3)
     points = pieces(request.param, COUNT, seed=2)
     pool = pack(map(hull, points))
-    i = np.tile(np.arange(COUNT), ROUNDS)
+    i = np.tile(np.arange(COUNT), rounds)
     Ta, Tb = near_contact(rng, pool, i, pool, i[::-1], grazing=0.0)
     gap, _ = signed_distances(pool, i, Ta, pool, i[::-1], Tb)
-    shape = (ROUNDS, COUNT)
+    shape = (rounds, COUNT)
     size = (sizes(pool)[i] + sizes(pool)[i[::-1]]).reshape(shape)
     return points, Ta.reshape(*shape, 4, 4), Tb.reshape(*shape, 4, 4), gap.reshape(shape), size
 
@@ -31,16 +37,22 @@ def bodies(points: list[np.ndarray]) -> tuple[Bodies, Bodies]:
     return Bodies.from_points(points), Bodies.from_points(points[::-1])
 
 
+@pytest.fixture(scope="module")
+def both(pairs) -> tuple[Bodies, Bodies]:
+    """The bodies of the pairs, in order and backwards."""
+    return bodies(pairs[0])
+
+
 def consistent(before: np.ndarray, after: np.ndarray, share: float) -> None:
     """No contradiction between certified verdicts, and nearly all the same."""
     assert not (((before == FREE) & (after == COLLIDING)) | ((before == COLLIDING) & (after == FREE))).any()
     assert np.mean(before == after) >= share
 
 
-def test_rigid_motion(pairs):
+def test_rigid_motion(pairs, both):
     """Moving the whole world moves the witnesses and changes nothing else."""
     points, Ta, Tb, gap, size = pairs
-    a, b = bodies(points)
+    a, b = both
     W = random_poses(np.random.default_rng(1), 1)[0]
     consistent(loewner.classify(a, Ta, b, Tb), loewner.classify(a, W @ Ta, b, W @ Tb), 0.98)
     d = loewner.distance(a, Ta, b, Tb, exact=True)
@@ -50,16 +62,16 @@ def test_rigid_motion(pairs):
     assert np.array_equal(loewner.collide(a, Ta, b, Tb)[clear], loewner.collide(a, W @ Ta, b, W @ Tb)[clear])
 
 
-def test_far_from_the_origin(pairs):
+def test_far_from_the_origin(pairs, both):
     """A million metres out, the doubles of the poses are coarser and the answers are right for them."""
     points, Ta, Tb, _, size = pairs
-    a, b = bodies(points)
+    a, b = both
     far = np.array([1e6, -2e6, 5e5])
     Fa, Fb = Ta.copy(), Tb.copy()
     Fa[..., :3, 3] += far
     Fb[..., :3, 3] += far
     pool = pack(map(hull, points))
-    i = np.tile(np.arange(COUNT), ROUNDS)
+    i = np.tile(np.arange(COUNT), len(size))
     gap, _ = signed_distances(pool, i, Fa.reshape(-1, 4, 4), pool, i[::-1], Fb.reshape(-1, 4, 4))
     gap = gap.reshape(size.shape)
     verdict = loewner.classify(a, Fa, b, Fb)
@@ -76,12 +88,12 @@ def test_far_from_the_origin(pairs):
     assert result.distance[deep] == pytest.approx(gap[deep], abs=1e-8)
 
 
-def test_pieces_far_from_their_own_origin(pairs):
+def test_pieces_far_from_their_own_origin(pairs, both):
     """The same world with the offset in the vertices instead of the pose."""
     points, Ta, Tb, gap, size = pairs
     offset = np.array([3e3, -1e3, 2e3])
     a = Bodies.from_points([P + offset for P in points])
-    _, b = bodies(points)
+    _, b = both
     back = translation(*-offset)
     found = loewner.collide(a, Ta @ back, b, Tb)
     clear = np.abs(gap) > 1e-9 * np.maximum(size, 1)
@@ -92,10 +104,10 @@ def test_pieces_far_from_their_own_origin(pairs):
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6, 2.0**-20])
-def test_scale(pairs, scale: float):
+def test_scale(pairs, both, scale: float):
     """Micrometres or megametres: the same verdicts, distances times the scale."""
     points, Ta, Tb, gap, size = pairs
-    a, b = bodies(points)
+    a, b = both
     c, d = bodies([P * scale for P in points])
     Sa, Sb = Ta.copy(), Tb.copy()
     Sa[..., :3, 3] *= scale
@@ -119,13 +131,13 @@ def test_order_of_vertices_and_repeats_do_not_matter():
         assert one.inner.log_volume == pytest.approx(other.inner.log_volume, abs=3e-4)
 
 
-def test_poses_that_went_through_float32(pairs):
+def test_poses_that_went_through_float32(pairs, both):
     """A pose rounded to float32 is a slightly bent map; certified verdicts hold for the bent pieces themselves."""
     points, Ta, Tb, _, size = pairs
-    a, b = bodies(points)
+    a, b = both
     Fa, Fb = Ta.astype(np.float32), Tb.astype(np.float32)
     pool = pack(map(hull, points))
-    i = np.tile(np.arange(COUNT), ROUNDS)
+    i = np.tile(np.arange(COUNT), len(size))
     gap, _ = signed_distances(pool, i, Fa.reshape(-1, 4, 4), pool, i[::-1], Fb.reshape(-1, 4, 4))
     gap = gap.reshape(size.shape)
     verdict = loewner.classify(a, Fa, b, Fb)
@@ -171,7 +183,7 @@ def test_bounds_hold_under_bent_poses(count: int):
 
 
 @pytest.mark.parametrize("offset", [0.0, pytest.param(1000.0, marks=pytest.mark.verify)])
-@pytest.mark.parametrize("count", quick(400, 1000))
+@pytest.mark.parametrize("count", quick(150, 1000))
 def test_neighbours_and_precision_of_the_batch(offset: float, count: int):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)

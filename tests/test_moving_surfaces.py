@@ -1,5 +1,7 @@
 """Motions of links that are surfaces: what is proven holds at samples, and every caller tests where they start."""
 
+import functools
+
 import numpy as np
 import pytest
 import trimesh
@@ -74,6 +76,24 @@ def test_a_part_that_is_missing_is_noticed(tmp_path, monkeypatch):
 
 
 BALL, ROOM = trimesh.creation.icosphere(1, 0.1), trimesh.creation.icosphere(2, 1.0)
+
+
+@functools.cache
+def room(solid=None):
+    """The large ball, with an inside or as a skin."""
+    return Body.from_surface(ROOM, solid=solid)
+
+
+@functools.cache
+def ball():
+    """The small one."""
+    return Body.from_surface(BALL)
+
+
+@functools.cache
+def hollow():
+    """The large ball with a cavity."""
+    return Body.from_surface(trimesh.util.concatenate([ROOM, inverted(trimesh.creation.icosphere(2, 0.8))]))
 
 
 def held(folder, inner, outer):
@@ -157,11 +177,10 @@ CALLERS = (edges, edges_with_errors, curves, motions_in_time, first_contact, pla
 def test_what_begins_inside_a_solid_is_not_free(tmp_path, caller, count):
     """Whichever of the two moves. In a surface without an inside, and in a cavity, it is free."""
     a, b = np.zeros(6), np.full(6, 0.1)
-    hollow = trimesh.util.concatenate([ROOM, inverted(trimesh.creation.icosphere(2, 0.8))])
-    for inner in (Body.from_surface(BALL), Body.sphere(0.1))[:count]:
-        for checker in held(tmp_path, inner, Body.from_surface(ROOM)):
+    for inner in (ball(), Body.sphere(0.1))[:count]:
+        for checker in held(tmp_path, inner, room()):
             assert not caller(checker, a, b), "a solid"
-        for outer in (Body.from_surface(ROOM, solid=False), Body.from_surface(hollow)):
+        for outer in (room(False), hollow()):
             for checker in held(tmp_path, inner, outer):
                 assert caller(checker, a, b), "no solid"
 
@@ -171,7 +190,7 @@ def test_a_forgotten_start_is_noticed(tmp_path, monkeypatch, caller):
     """The test above fails for a caller that does not test the start; planners refuse such a start themselves."""
     monkeypatch.setattr(Problem, "starts_matter", False)
     a, b = np.zeros(6), np.full(6, 0.1)
-    free = [caller(checker, a, b) for checker in held(tmp_path, Body.from_surface(BALL), Body.from_surface(ROOM))]
+    free = [caller(checker, a, b) for checker in held(tmp_path, ball(), room())]
     assert free == [caller not in (plans, other_planners, roadmaps)] * 3
 
 
@@ -181,7 +200,7 @@ def test_ranges_of_a_body_inside_another_one(tmp_path):
     limits = {robot.configuration_names[0]: (0.0, 0.02)}
     for solid in (True, False):
         scene = Scene()
-        scene.add("room", Body.from_surface(ROOM, solid=solid))
+        scene.add("room", room(solid))
         (row,) = robot.prove_pairs([("l1", "room")], limits=limits, scene=scene)
         assert str(row.verdict) in (("ALWAYS", "CAN", "SOMETIMES") if solid else ("NEVER",))
 
@@ -191,7 +210,7 @@ def test_c_tests_where_motions_start(tmp_path):
     a, b = np.zeros(6), np.full(6, 0.1)
     curve = np.stack([a, 0.3 * a + 0.7 * b, b])[None]
     for solid in (True, False):
-        for checker in held(tmp_path, Body.from_surface(BALL), Body.from_surface(ROOM, solid=solid)):
+        for checker in held(tmp_path, ball(), room(solid)):
             checker.save(tmp_path / "cell.lwn")
             cell = capi.Checker(tmp_path / "cell.lwn")
             for _ in range(2):
@@ -214,7 +233,7 @@ def test_clearances_keep_clouds_in_parts_beside_solids(tmp_path):
     scene, alone = Scene(), Scene()
     for each in (scene, alone):
         each.add("cloud", Body.from_cloud(points, radius=0.01))
-    scene.add("solid", Body.from_surface(ROOM), translation(0.0, 0.0, 3.0))
+    scene.add("solid", room(), translation(0.0, 0.0, 3.0))
     Q = np.linspace(-0.3, 0.3, 7)[:, None]
     checker = CollisionChecker(robot, scene)
     bounds = checker.clearance(Q)

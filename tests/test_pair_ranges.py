@@ -249,10 +249,11 @@ def test_neighbours_that_always_overlap():
     assert only(slides, "frame", "slide", limits={"slide": (0.0, 0.4 - 1e-9)}).verdict == "ALWAYS"
 
 
-def test_depths_of_round_pieces_are_within_their_allowance():
+@pytest.mark.parametrize("count", quick(20, 60))
+def test_depths_of_round_pieces_are_within_their_allowance(count):
     """Where two cylinders have a common axis, the search may stop beside the best direction; closed forms."""
     rng, worst = np.random.default_rng(5), 0.0
-    for _ in range(60):
+    for _ in range(count):
         (r, s), (h, k) = rng.uniform(0.05, 0.5, 2).tolist(), rng.uniform(0.1, 0.6, 2).tolist()
         robot = mechanisms.robot(
             link("frame", (f'<cylinder radius="{r!r}" length="{h!r}"/>', (0.0, 0.0, 0.0))),
@@ -268,11 +269,12 @@ def test_depths_of_round_pieces_are_within_their_allowance():
 
 
 @pytest.mark.parametrize("model", ["hull", "surface"])
-def test_models_of_meshes(model):
+@pytest.mark.parametrize("starts", quick(6, 20))
+def test_models_of_meshes(model, starts):
     """Hulls and surfaces are proven, with links that move."""
     robot = example_robot("ur5", meshes=model)
     for row in robot.prove_pairs([("base_link", "shoulder_link"), ("wrist_1_link", "wrist_2_link")], cache=False):
-        expect_true(robot, row, 20)
+        expect_true(robot, row, starts)
         assert row.verdict == "NEVER", (model, row)
 
 
@@ -475,7 +477,7 @@ def test_default_pairs():
     assert {row.names for row in panda.prove_pairs(boxes=10, cache=False)} <= panda.disabled_pairs
 
 
-@pytest.mark.parametrize("boxes", quick(6000, 20000))
+@pytest.mark.parametrize("boxes", quick(2000, 20000))
 def test_threads_and_progress(monkeypatch, boxes):
     """The same rows for one thread and for several; the share that is told never falls, and ends with all."""
     told, robot = [], example_robot("panda")

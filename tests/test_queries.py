@@ -29,7 +29,7 @@ from oracles import (
     posed_support,
     signed_distances,
 )
-from sampling import examples
+from sampling import examples, quick
 
 FREE, COLLIDING, AMBIGUOUS = Verdict
 
@@ -37,7 +37,6 @@ FREE, COLLIDING, AMBIGUOUS = Verdict
 GRAZING = 1e-9
 
 BODIES = 12  # of each family
-ROUNDS = 13  # poses of each body: 14 families x 12 x 13 = 2,184 pairs
 
 
 class Pairs(NamedTuple):
@@ -47,9 +46,9 @@ class Pairs(NamedTuple):
     pool: HullPool
     a: Bodies
     b: Bodies
-    Ta: np.ndarray  # (ROUNDS, BODIES, 4, 4)
+    Ta: np.ndarray  # (rounds, BODIES, 4, 4)
     Tb: np.ndarray
-    gap: np.ndarray  # (ROUNDS, BODIES): sign of the truth; the depth where negative
+    gap: np.ndarray  # (rounds, BODIES): sign of the truth; the depth where negative
     distance: np.ndarray  # the true signed distance
     size: np.ndarray
 
@@ -60,14 +59,15 @@ class Pairs(NamedTuple):
             yield (r, i), i, j, self.Ta[r, i], self.Tb[r, i]
 
 
-@pytest.fixture(scope="module")
-def world() -> dict[str, Pairs]:
-    out = {}
+@pytest.fixture(scope="module", params=quick(5, 13))
+def world(request: pytest.FixtureRequest) -> dict[str, Pairs]:
+    """Pairs of all families, with several poses of each body: 900 pairs in the quick suite."""
+    out, rounds = {}, request.param
     rng = np.random.default_rng(11)
     for family in FAMILIES:
         points = pieces(family, BODIES, seed=1)
         pool = pack(map(hull, points))
-        i = np.tile(np.arange(BODIES), ROUNDS)
+        i = np.tile(np.arange(BODIES), rounds)
         j = BODIES - 1 - i
         Ta, Tb = near_contact(rng, pool, i, pool, j, stretch=stretch(family))
         gap, _ = signed_distances(pool, i, Ta, pool, j, Tb)
@@ -76,10 +76,10 @@ def world() -> dict[str, Pairs]:
             truth[p] = naive_distance(pool.hull(i[p]), Ta[p], pool.hull(j[p]), Tb[p])[0]
         a = Bodies.from_points(points)
         b = Bodies([a[k] for k in range(BODIES)][::-1])
-        size = (sizes(pool)[i] + sizes(pool)[j]).reshape(ROUNDS, BODIES)
-        poses = (T.reshape(ROUNDS, BODIES, 4, 4) for T in (Ta, Tb))
+        size = (sizes(pool)[i] + sizes(pool)[j]).reshape(rounds, BODIES)
+        poses = (T.reshape(rounds, BODIES, 4, 4) for T in (Ta, Tb))
         out[family] = Pairs(
-            points, pool, a, b, *poses, gap.reshape(ROUNDS, BODIES), truth.reshape(ROUNDS, BODIES), size
+            points, pool, a, b, *poses, gap.reshape(rounds, BODIES), truth.reshape(rounds, BODIES), size
         )
     return out
 
@@ -276,6 +276,7 @@ def random_pair(family: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     return A, Ta[0], B, Tb[0]
 
 
+@examples(15, 40)
 @given(families, seeds)
 def test_one_pair_agrees_with_rationals(family: str, seed: int):
     """One pair at a time: certified, exact and distance answers against exact arithmetic."""
@@ -294,7 +295,7 @@ def test_one_pair_agrees_with_rationals(family: str, seed: int):
         assert float(result.distance) == pytest.approx(float(squared) ** 0.5, abs=1e-9 * size)
 
 
-@examples(15, 40)
+@examples(8, 40)
 @given(families, seeds, st.integers(2, 4))
 def test_union_is_the_union(family: str, seed: int, count: int):
     """A union is FREE only if every piece pair is, COLLIDING if any is; its distance is the least."""
@@ -360,10 +361,10 @@ def test_bodies_broadcast_with_the_last_axis(world: dict[str, Pairs]):
     assert np.array_equal(batch[:3], each)
     assert loewner.classify(w.a, None, w.b[0], None).shape == (n,)
     assert loewner.classify(w.a, w.Ta[0, 0], w.b, w.Tb[0, 1]).shape == (n,)
-    assert loewner.classify(w.a[0], w.Ta[:, :1], w.b, w.Tb[0, 0]).shape == (ROUNDS, n)
+    assert loewner.classify(w.a[0], w.Ta[:, :1], w.b, w.Tb[0, 0]).shape == (len(w.gap), n)
     one = loewner.classify(w.a[0], w.Ta[0, 0], w.b, w.Tb[0])
     assert np.array_equal(one, [loewner.classify(w.a[0], w.Ta[0, 0], w.b[i], w.Tb[0, i]) for i in range(n)])
-    assert loewner.collide(w.a[:5], w.Ta[:, :5], w.b[:5], None).shape == (ROUNDS, 5)
+    assert loewner.collide(w.a[:5], w.Ta[:, :5], w.b[:5], None).shape == (len(w.gap), 5)
 
 
 def test_same_answers_for_any_number_of_threads(world: dict[str, Pairs]):
@@ -492,7 +493,7 @@ def test_primitives_against_directions(first: str, poses: int):
             check_witnesses(result, a, b, 1e-7)
             if d <= 0:
                 # Supporting planes prove "at most this deep"; no direction may do better.
-                truth, _ = directional_distance(a, b, 1000)
+                truth, _ = directional_distance(a, b, 1000, finest=1e-9)
                 assert truth <= d + 1e-7
             verdict = loewner.classify(body_a, Ta, body_b, Tb)
             assert verdict == AMBIGUOUS or (verdict == COLLIDING) == (d <= 0)

@@ -51,7 +51,7 @@ def clutter(rng: np.random.Generator, n: int) -> Scene:
     return scene
 
 
-@examples(15, 40)
+@examples(8, 40)
 @given(SEEDS)
 def test_pairs_are_those_that_collide_one_by_one(seed):
     """A pair is reported exactly if it is not allowed and `collide` with its own margin says so."""
@@ -81,7 +81,7 @@ def test_contacts_are_consistent(seed):
         assert c.distance <= scene.margin_of(c.name_a, c.name_b) + 1e-12
 
 
-@examples(15, 40)
+@examples(8, 40)
 @given(SEEDS, st.floats(0, 0.5))
 def test_larger_margin_loses_no_pair(seed, more):
     """Margin monotone: what meets within a margin meets within a larger one."""

@@ -81,7 +81,7 @@ def awkward_directions(body: Body) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", HULLS)
-@pytest.mark.parametrize("every", quick(3, 1))
+@pytest.mark.parametrize("every", quick(7, 1))
 def test_farthest_is_farthest(name: str, every: int):
     """No vertex lies farther along any direction than the one found, but for the rounding of the comparison."""
     body = Body.from_points(HULLS[name])

@@ -320,7 +320,7 @@ def checker(barista):
     return CollisionChecker(Robot.from_urdf(barista, meshes="surface"), scene)
 
 
-@pytest.mark.parametrize("count", quick(120, 300))
+@pytest.mark.parametrize("count", quick(100, 300))
 def test_a_checker_of_surfaces_is_its_pairs(checker, count):
     """Verdicts, pairs and distances are those of the queries, pair by pair."""
     Q = checker.robot.random_configurations(count, 1)
@@ -391,7 +391,7 @@ def test_motions_of_surfaces_are_true(checker, within, count):
         checker.scene.remove("shell")
         checker.scene.remove("ring")
     rng = np.random.default_rng(3)
-    Q = checker.robot.random_configurations(400, 4)
+    Q = checker.robot.random_configurations(20 * count, 4)
     Q = Q[~checker.collide(Q)][:count]
     end = Q + rng.normal(size=Q.shape) * 0.1
     verdicts = assert_true(checker, Q, end, samples=500)
