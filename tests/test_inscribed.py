@@ -14,6 +14,7 @@ from loewner._native import entries
 from loewner.errors import InputError
 from loewner.meshes.inscribed import FAR, inscribed_ellipsoids
 from oracles import fibonacci_sphere
+from sampling import quick
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -84,9 +85,9 @@ def union(*meshes: Mesh) -> Mesh:
     return np.concatenate([V for V, _ in meshes]), np.concatenate(triangles)
 
 
-def star(seed: int) -> Mesh:
+def star(seed: int, count: int = 150) -> Mesh:
     """A sphere with its radius at random: a solid with bumps and dents."""
-    V, T = sphere(150)
+    V, T = sphere(count)
     rng = np.random.default_rng(seed)
     return V * rng.uniform(0.5, 1.5, (len(V), 1)) @ np.diag(rng.uniform(0.2, 2.0, 3)), T
 
@@ -246,26 +247,30 @@ def random_mesh(rng: np.random.Generator) -> Mesh:
 @pytest.mark.parametrize(
     "name", [*QUICK, *(pytest.param(k, marks=pytest.mark.verify) for k in MESHES if k not in QUICK)]
 )
-def test_ellipsoids_are_inside(name: str):
+@pytest.mark.parametrize("count", quick(3, 6))
+def test_ellipsoids_are_inside(name: str, count: int):
     """No triangle meets an ellipsoid, in exact arithmetic; the surface winds around all of it; the largest is first."""
-    centers, factors = inscribed_ellipsoids(*MESHES[name], 6)
-    assert 1 <= len(centers) == len(factors) <= 6
+    centers, factors = inscribed_ellipsoids(*MESHES[name], count)
+    assert 1 <= len(centers) == len(factors) <= count
     check(MESHES[name], centers, factors)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.verify) for seed in range(1, 600))])
-def test_ellipsoids_are_inside_random_meshes(seed: int):
+@pytest.mark.parametrize(
+    ("seed", "count"), [(0, 3), *(pytest.param(seed, 5, marks=pytest.mark.verify) for seed in range(600))]
+)
+def test_ellipsoids_are_inside_random_meshes(seed: int, count: int):
     """The same for meshes at random, thin, nearly touching and far from the origin."""
     rng = np.random.default_rng(seed)
-    for _ in range(5):
+    for _ in range(count):
         mesh = random_mesh(rng)
         check(mesh, *inscribed_ellipsoids(*mesh, 4))
 
 
 @pytest.mark.parametrize("far", [0.0, 0.5, 2.0], ids=["near", "just near enough", "too far"])
-def test_ellipsoids_of_a_body_are_inside(far: float):
+@pytest.mark.parametrize("count", quick(50, 150))
+def test_ellipsoids_of_a_body_are_inside(far: float, count: int):
     """A body's own tree gives ellipsoids inside as well: one far from the origin is replaced by another tree."""
-    V, T = star(9)
+    V, T = star(9, count)
     mesh = V + far * FAR * np.array([0.0, 1.0, 0.0]), T
     tree = Body.from_surface(mesh)._packed.trees[0]
     assert 1 <= len(tree.inner_center) <= 8
@@ -299,7 +304,8 @@ def test_distances_of_triangles_exceed_the_exact_ones_by_no_more_than_derived(se
         assert least <= 0 or least**2 <= exact_square(*rational(triangle))
 
 
-def test_any_pose_and_scale():
+@pytest.mark.parametrize("count", quick(1, 3))
+def test_any_pose_and_scale(count: int):
     """What comes out after a rigid motion and a scale is inside as well, and about as large.
 
     Of a simple solid it is as large within 5 %; of one with bumps and dents, within 30 %, for other seeds are found.
@@ -308,7 +314,7 @@ def test_any_pose_and_scale():
     for name, close in (("box", 0.05), ("torus", 0.05), ("star", 0.3)):
         V, T = MESHES[name]
         first = volumes(inscribed_ellipsoids(V, T, 1)[1])[0]
-        for R in families.rotations(rng, 3):
+        for R in families.rotations(rng, count):
             scale = 10.0 ** rng.uniform(-6, 6)
             mesh = (scale * (V @ R.T + rng.uniform(-10, 10, 3)), T)
             centers, factors = inscribed_ellipsoids(*mesh, 2)
@@ -420,9 +426,10 @@ def test_thin_walls():
     assert (np.abs(centers).max(axis=1) > 0.95).all()
 
 
-def test_large_mesh():
+@pytest.mark.parametrize("rows", quick(200, 500))
+def test_large_mesh(rows: int):
     """Of a mesh of many triangles the ellipsoids are inside too: planes then stand for groups of neighbours."""
-    mesh = torus(500, 250)
+    mesh = torus(rows, rows // 2)
     centers, factors = inscribed_ellipsoids(*mesh, 4)
     assert len(centers) == 4
     for c, F in zip(centers, factors, strict=True):

@@ -9,6 +9,7 @@ from exact import hull_planes, rational
 from families import polygon, prism
 from loewner import GeometryError, InputError, Polytope
 from loewner.ellipsoids import polytopes
+from sampling import examples
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -86,6 +87,7 @@ def test_hull_laws_of_random_points(seed: int) -> None:
     assert (outside <= 1e-13 * width + 1e-14 * np.abs(points).max()).all()
 
 
+@examples(15, 40)
 @given(seeds)
 def test_faces_are_those_of_the_exact_hull(seed: int) -> None:
     """Against rational arithmetic: small integer points, full of coplanar and collinear ones."""

@@ -20,7 +20,11 @@ RNG = np.random.default_rng(5)
 
 def several():
     """Parts that are cut: two that are closed, apart from each other, and one more that is convex."""
-    parts = [trimesh.creation.annulus(0.5, 1.0, 0.4), trimesh.creation.annulus(0.2, 0.9, 0.3), trimesh.creation.box()]
+    parts = [
+        trimesh.creation.annulus(0.5, 1.0, 0.4, sections=12),
+        trimesh.creation.annulus(0.2, 0.9, 0.3, sections=8),
+        trimesh.creation.box(),
+    ]
     return trimesh.util.concatenate([part.apply_translation([3.0 * k, 0, 0]) for k, part in enumerate(parts)])
 
 
@@ -58,7 +62,7 @@ def fitted_by_a_cluster(progress):
 
 
 POINTS, A = RNG.normal(size=(3000, 20)), RNG.normal(size=(2000, 20))
-SETS = RNG.normal(size=(900, 30, 3))
+SETS = RNG.normal(size=(300, 30, 3))
 
 # All public calls that take `progress`, by the names that the reference has for them, each in several ways.
 WATCHED = {
@@ -101,7 +105,7 @@ WATCHED = {
         ),
     ],
     "compile_kernels": [compiled],
-    "paper.run": [lambda progress: paper.run(100, progress=progress)],
+    "paper.run": [lambda progress: paper.run(30, progress=progress)],
     "cluster.fit": [fitted_by_a_cluster],
 }
 
