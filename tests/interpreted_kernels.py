@@ -4,6 +4,7 @@ With ``LOEWNER_TRACE=1`` in the environment, they print each exit from a loop or
 """
 
 import builtins
+import functools
 import os
 import sys
 import types
@@ -39,9 +40,13 @@ STAND_INS = {
 }
 
 
+texts = functools.cache(sources)
+code_of = functools.cache(compile)
+
+
 def source_of(name):
     """The text of a module of kernels, which a wheel has in an archive."""
-    return sources()[name.replace(".", "/") + ".py"].decode()
+    return texts()[name.replace(".", "/") + ".py"].decode()
 
 
 def interpreted(name, text=None):
@@ -50,7 +55,7 @@ def interpreted(name, text=None):
     module.__dict__["__builtins__"] = vars(builtins) | {"__import__": _imported}
     text = text or source_of(name)
     LINES[name] = text.splitlines()
-    exec(compile(text, name, "exec"), module.__dict__)
+    exec(code_of(text, name, "exec"), module.__dict__)
     if os.environ.get("LOEWNER_TRACE"):
         sys.settrace(tracing(print))
     return module

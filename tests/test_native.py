@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import loewner
+import small_kernels
 from loewner._kernels import _parts, _store, columns, records
 from loewner._kernels._sources import source_hash
 from loewner._native import entries, library
@@ -209,11 +210,11 @@ def test_a_process_that_comes_after_an_edit_does_not_share_the_work(emit, tmp_pa
 def test_objects_are_made_once(emit, tmp_path, monkeypatch):
     """From the store, unless a part or a shim has changed."""
     monkeypatch.setattr(_store, "FOLDER", tmp_path / "store")
-    code, to = tmp_path / "part_vertices.code", tmp_path / "object.o"
-    emit.write_code(entries.ENTRIES["part_vertices"], code)
+    code, to = tmp_path / "irrationals.code", tmp_path / "object.o"
+    emit.write_code(entries.ENTRIES["irrationals"], code)
     emit.write_object([code], [], to)
     made = to.read_bytes()
-    assert b"loewner_part_vertices" in made
+    assert b"loewner_irrationals" in made
     to.unlink()
     monkeypatch.setattr(emit, "machine_code", lambda parts, shims: b"made anew")
     emit.write_object([code], [], to)
@@ -224,20 +225,28 @@ def test_objects_are_made_once(emit, tmp_path, monkeypatch):
     assert to.read_bytes() == b"made anew"
 
 
+SMALL = [library.Entry("small", name, "F1", "f") for name in ("total_of", "twice_of")]
+PLACING = [entries.ENTRIES[name] for name in ("link_poses", "link_jacobians")]
+
+
 @needs_library
-def test_what_is_apart_is_in_the_first_object_that_calls_it(emit, tmp_path, monkeypatch):
-    """Both entries place links; the second object needs the first, and defines nothing twice."""
+@pytest.mark.parametrize(
+    ("some", "called"), [(SMALL, "add_up"), pytest.param(PLACING, "place_links", marks=pytest.mark.verify)]
+)
+def test_what_is_apart_is_in_the_first_object_that_calls_it(emit, tmp_path, monkeypatch, some, called):
+    """Both entries call a function; the second object needs the first, and defines nothing twice."""
     build = module("build")
     monkeypatch.setattr(_store, "FOLDER", tmp_path / "store")
-    codes = [tmp_path / f"{name}.code" for name in ("link_poses", "link_jacobians")]
-    for code in codes:
-        emit.write_code(entries.ENTRIES[code.stem], code)
+    monkeypatch.setitem(sys.modules, "loewner._kernels.small", small_kernels)
+    codes = [tmp_path / f"{entry.name}.code" for entry in some]
+    for entry, code in zip(some, codes, strict=True):
+        emit.write_code(entry, code)
     objects = [tmp_path / "first.o", tmp_path / "second.o"]
     emit.write_object(codes[:1], [], objects[0])
     emit.write_object(codes[1:], codes[:1], objects[1])
-    assert all(b"place_links" in path.read_bytes() for path in objects)
+    assert all(called.encode() in path.read_bytes() for path in objects)
     build.link(objects, library.level(), tmp_path / "both.so")
-    with pytest.raises(build.BuildError, match="place_links"):
+    with pytest.raises(build.BuildError, match=called):
         build.link(objects[1:], library.level(), tmp_path / "second.so")
 
 

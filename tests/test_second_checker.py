@@ -45,8 +45,8 @@ from test_written_proofs import around, panda  # noqa: F401
 SOURCE = Path(__file__).parents[1] / "examples" / "verify.c"
 
 
-@pytest.fixture(scope="module")
-def agrees(tmp_path_factory):
+@pytest.fixture(scope="module", params=quick("-O0", "-O2"))
+def agrees(request, tmp_path_factory):
     """Return a function of the bytes of a file: whether both programs verify it; an error if they differ.
 
     Only the first program decides all common points exactly; unless `exactly`, the second one may refuse more.
@@ -54,7 +54,7 @@ def agrees(tmp_path_factory):
     folder = tmp_path_factory.mktemp("second")
     program, file = folder / "verify", folder / "made.proof"
     compiler = shlex.split(os.environ.get("CC") or "cc")
-    flags = ["-std=c11", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
+    flags = ["-std=c11", request.param, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
     built = subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(program), "-lm"], capture_output=True, text=True)
     assert (built.returncode, built.stderr) == (0, "")
 
