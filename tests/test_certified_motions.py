@@ -511,13 +511,13 @@ def closing(tmp_path):
     return checker, np.full((40, 1), 0.05), np.linspace(-0.02, 0.02, 40)[:, None]
 
 
-def long_sweeps(arm):
-    """Motions of 4 rad of an arm among thin plates."""
+@pytest.fixture(scope="module")
+def long_sweeps(arms):
+    """Motions of 4 rad of a Panda among thin plates: their starts and ends."""
     rng = np.random.default_rng(3)
-    scene = ring(rng, 45, 0.35, 0.9, 0.04)
-    checker = CollisionChecker(arm, scene)
-    Q = free_configurations(checker, 6000)
-    return checker, Q, steps(arm, rng, Q, 4.0)
+    checker = CollisionChecker(arms("panda"), ring(rng, 45, 0.35, 0.9, 0.04))
+    Q = free_configurations(checker, 3000)
+    return Q, steps(checker.robot, rng, Q, 4.0)
 
 
 def false_free(checker, start, end):
@@ -535,13 +535,12 @@ def test_sliding_joints_taken_for_still_are_noticed(tmp_path):
 
 
 @pytest.mark.parametrize(("rows", "margin"), [(slice(3, 6), 0.0), (slice(6, 7), 0.2)])
-def test_boxes_without_widths_or_margins_are_noticed(arms, rows, margin):
+def test_boxes_without_widths_or_margins_are_noticed(arms, long_sweeps, rows, margin):
     """The tests of arms would fail if what is compared with whole blocks of a motion were too small."""
     arm = arms("panda")
-    checker, start, end = long_sweeps(arm)
     scene = ring(np.random.default_rng(3), 45, 0.35, 0.9, 0.04)
     scene.set_margin(margin)
-    checker, start, end = CollisionChecker(arm, scene), start[:1000], end[:1000]
+    checker, (start, end) = CollisionChecker(arm, scene), (rows[:1000] for rows in long_sweeps)
     assert false_free(checker, start, end) == 0
     checker._ready().tables.groups.reshape(-1, 8, 8)[:, rows] = 0.0
     assert false_free(checker, start, end) > 0
@@ -560,9 +559,10 @@ def test_groups_hold_every_pair(arms, rng):
     assert (rows[:, 7] == tables.sizes[still]).all()
 
 
-def test_ways_taken_for_straight_are_noticed(arms):
+def test_ways_taken_for_straight_are_noticed(arms, long_sweeps):
     """The tests of arms would fail if the curvature of ways were left out."""
-    checker, start, end = long_sweeps(arms("panda"))
+    scene = ring(np.random.default_rng(3), 45, 0.35, 0.9, 0.04)
+    checker, (start, end) = CollisionChecker(arms("panda"), scene), long_sweeps
     assert false_free(checker, start, end) == 0
     # The reach enters the curvature and the speed; speed decides nothing but when to give up.
     checker._ready().tables.reach[:] *= 1e-9

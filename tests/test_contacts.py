@@ -74,7 +74,7 @@ def test_an_allowed_pair_of_an_attached_body_is_named_in_a_warning():
 
 @pytest.mark.parametrize("margin", [0.004, pytest.param(0.0, marks=pytest.mark.verify)])
 @pytest.mark.parametrize("sunk", [0.0, 1e-17, 0.002, -0.003])
-@pytest.mark.parametrize("count", quick(20, 60))
+@pytest.mark.parametrize("count", quick(12, 60))
 def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk, count):
     """FREE: no deeper than at the start, or nearer within the margin, until apart; then apart. COLLIDING: nearer."""
     checker = can_on_table(margin, sunk, leave=["table"])
@@ -140,11 +140,13 @@ def test_contact_does_not_come_back():
     assert checker.certify_edges(START, there).verdict != Verdict.FREE
 
 
-def test_reach_is_the_mirror_image():
+@pytest.mark.parametrize("count", quick(15, 40))
+def test_reach_is_the_mirror_image(count):
     """A motion is free by `reach` where the way back is by `leave`, unless its end is deeper than the tolerance."""
     leaves, reaches = can_on_table(leave=["table"]), can_on_table(reach=["table"])
     rng = np.random.default_rng(11)
-    ends = rng.uniform([-0.4, -0.02, -0.2], [0.4, 0.1, 0.2], size=(40, 3)) * 10.0 ** rng.uniform(-3, 0, size=(40, 1))
+    ends = rng.uniform([-0.4, -0.02, -0.2], [0.4, 0.1, 0.2], size=(count, 3))
+    ends *= 10.0 ** rng.uniform(-3, 0, size=(count, 1))
     away, back = leaves.certify_edges(START, ends).verdict, reaches.certify_edges(ends, START).verdict
     np.testing.assert_array_equal(away == Verdict.FREE, back == Verdict.FREE)
     assert reaches.certify_edges(START, [0.0, 0.1, 0.0]).verdict != Verdict.FREE
@@ -337,11 +339,12 @@ def test_a_contact_that_does_not_exist_yet_may_not_begin(margin, gap, tolerance)
         assert checker.certify_edges(START, [x, gap, 0.0], tolerance=tolerance).verdict == Verdict.FREE
 
 
-def test_a_path_does_not_sink_by_many_motions():
+@pytest.mark.parametrize("count", quick(12, 50))
+def test_a_path_does_not_sink_by_many_motions(count):
     """Each motion may get deeper by the tolerance, all of them together not more than that."""
     checker = can_on_table(leave=["table"])
-    path = np.zeros((50, 3))
-    path[:-1, 1] = -0.65 * TOLERANCE * np.arange(49)
+    path = np.zeros((count, 3))
+    path[:-1, 1] = -0.65 * TOLERANCE * np.arange(count - 1)
     path[-1, 1] = 0.3
     assert (checker.certify_edges(path[:-1], path[1:]).verdict == Verdict.FREE).all()
     with pytest.raises(PlanningError, match="can and table deeper at row 2"):

@@ -187,7 +187,7 @@ def _joint(rng: np.random.Generator, length: float = 1.0) -> str:
 
 
 @pytest.mark.slow("each thread of a GPU runs in Python")
-@pytest.mark.parametrize("n", quick(3_000, 100_000))
+@pytest.mark.parametrize("n", quick(1_000, 100_000))
 def test_a_panda_collides_as_on_the_cpu(n):
     """Of configurations among ten obstacles every answer is the checker's, and most need no CPU."""
     robot = robot_samples.panda().robot
@@ -237,7 +237,7 @@ def test_any_robot_collides_as_on_the_cpu(seed, tmp_path):
 
 
 @pytest.mark.slow("each thread of a GPU runs in Python")
-@pytest.mark.parametrize("count", quick(60, 200))
+@pytest.mark.parametrize("count", quick(24, 200))
 def test_a_list_that_is_too_short_leaves_work_to_the_cpu(monkeypatch, tmp_path, count):
     """Where more pairs survive than were expected, or intervals stay open, answers stay right."""
     rng = np.random.default_rng(0)

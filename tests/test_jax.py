@@ -20,10 +20,10 @@ jnp = jax.numpy
 MEASURES = ("clearance", "distance")
 
 
-@pytest.fixture
-def checker(tmp_path: Path) -> CollisionChecker:
+@pytest.fixture(scope="module")
+def checker(tmp_path_factory: pytest.TempPathFactory) -> CollisionChecker:
     """A robot of all kinds of joints among bodies."""
-    return random_checker(np.random.default_rng(6), tmp_path)
+    return random_checker(np.random.default_rng(6), tmp_path_factory.mktemp("robot"))
 
 
 @pytest.fixture

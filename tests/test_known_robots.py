@@ -58,7 +58,7 @@ def test_known_robots_warn_for_reasons_only(every):
         assert all(REASONS[path.stem] in str(one.message) for one in told), (path, told)
 
 
-@pytest.mark.parametrize("every", quick(3, 1))
+@pytest.mark.parametrize("every", quick(7, 1))
 def test_known_robots_are_as_pinocchio_reads_them(every):
     """Links to 1e-12 of the size, hard limits to the bit, mimics as in the file, of each n-th of them."""
     for path in urdfs()[::every]:

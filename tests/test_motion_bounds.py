@@ -31,9 +31,10 @@ far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 
 
 @pytest.mark.parametrize("degree", [1, 5, *(pytest.param(k, marks=pytest.mark.verify) for k in (2, 3))])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in range(1, 8))])
+@pytest.mark.parametrize("seed", quick(*range(8)))
+@pytest.mark.parametrize("count", quick(101, 401))
 @far_outside
-def test_speed_and_curvature(tmp_path, seed, degree):
+def test_speed_and_curvature(tmp_path, seed, degree, count):
     """No point of a body is faster, or its way more bent, than the bound, as seen from any other body or the world.
 
     The same holds of a part of a course and the bounds of that part.
@@ -53,7 +54,7 @@ def test_speed_and_curvature(tmp_path, seed, degree):
         part = np.empty_like(course)
         write_part(course, low, high, np.empty(degree + 1), part)
         tables, made, _ = rates(checker, part, high - low)
-        t = np.linspace(low, high, 401).astype(Real)
+        t = np.linspace(low, high, count).astype(Real)
         h = t[1] - t[0]
         poses = real_poses(robot, course, t)
         for a in range(len(ready.names)):
@@ -147,7 +148,7 @@ def test_orientations(tmp_path, angle, astray, count):
         assert largest_error(checker, straight(robot, a, b), rng.uniform(size=50)) < 1.0
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", quick_of(range(8), range(3)))
 @far_outside
 def test_strays(tmp_path, seed):
     """Configurations off a motion by so much have no point of a body farther off, as seen from any other, than told."""

@@ -612,7 +612,7 @@ LONG = {"DisplayTrajectory, yaml", "Solution, yaml", "a goal, yaml", "a goal, js
     "form",
     [pytest.param(form, id=name, marks=[pytest.mark.verify] * (name in LONG)) for name, form in FORMATS.items()],
 )
-@pytest.mark.parametrize("every", quick(3, 1))
+@pytest.mark.parametrize("every", quick(7, 1))
 def test_no_part_of_a_file_is_dropped_without_a_word(form, every, tmp_path):
     """Only what is listed may be renamed, doubled or joined by a stranger: the list is complete, and no longer."""
     if form.sample == MJCF:
@@ -657,7 +657,7 @@ LARGE = ("so_arm_description/urdf/so100", "z1_description/urdf/z1", "laikago_des
         for name in names
     ],
 )
-@pytest.mark.parametrize("every", quick(3, 1))
+@pytest.mark.parametrize("every", quick(7, 1))
 def test_files_of_other_projects_are_read_in_whole(format, name, every, tmp_path):
     """Nothing but the harmless parts, and parts that may occur several times, changes without a word."""
     path = robots_folder() / f"{name}{ENDINGS[format]}"

@@ -101,8 +101,8 @@ def test_no_path_is_an_error(robot, name):
     """Where the wall leaves no gap; a path that only comes near the goal does not count."""
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]))
-    with pytest.raises(PlanningError, match=rf"none by {name} within 0\.2 s"):
-        planners.plan(CollisionChecker(robot, scene), LEFT, RIGHT, joints="slide", planner=name, timeout=0.2)
+    with pytest.raises(PlanningError, match=rf"none by {name} within 0\.1 s"):
+        planners.plan(CollisionChecker(robot, scene), LEFT, RIGHT, joints="slide", planner=name, timeout=0.1)
 
 
 def test_paths_are_checked_again(checker):

@@ -127,11 +127,12 @@ def test_floating_and_planar_joints_are_swept_with_their_errors(tmp_path):
 
 
 @pytest.mark.parametrize("tolerance", [0.2, 0.01, *(pytest.param(k, marks=pytest.mark.verify) for k in (0.05, 1e-3))])
-def test_turns_fill_a_ring_and_no_more(tolerance: float, tmp_path):
+@pytest.mark.parametrize("count", quick(6_000, 25_000))
+def test_turns_fill_a_ring_and_no_more(tolerance: float, count: int, tmp_path):
     """A box that turns sweeps part of a ring; no point of the body's surface is farther from it than stated."""
     rng, robot = np.random.default_rng(1), written(tmp_path, TURNTABLE)
     body = robot.swept([[0.0], [2.5]], tolerance=tolerance)
-    points = rng.uniform(-HALF, HALF, (25_000, 3)) + [0.4, 0.0, 0.0]
+    points = rng.uniform(-HALF, HALF, (count, 3)) + [0.4, 0.0, 0.0]
     assert len(outside(body, passed(rng, robot, straight(robot, np.zeros((1, 1)), np.full((1, 1), 2.5)), "arm",
                                     points))) == 0  # fmt: skip
     corners = np.concatenate([piece.vertices[piece.triangles] for piece in body.pieces])
@@ -154,15 +155,16 @@ def test_slides_are_prisms(tmp_path):
         np.testing.assert_allclose(spans, [[0.2, 0.02, 0.05]] * 2, atol=2e-5)
 
 
-def test_solids_are_swept_with_their_inside(tmp_path):
+@pytest.mark.parametrize("count", quick(5_000, 20_000))
+def test_solids_are_swept_with_their_inside(count: int, tmp_path):
     """A thick tube that turns: points within its wall are inside, and its bore is left open where it stays so."""
     mesh = trimesh.creation.annulus(0.1, 0.2, 0.3)
     solid = Body.from_surface((mesh.vertices, mesh.faces))
     robot = robot_of(tmp_path, [("revolute", 0, '<axis xyz="0 0 1"/><limit lower="-2" upper="2"/>')], {"l1": solid})
     body = robot.swept([[0.0], [1.0]], tolerance=0.04)
     rng = np.random.default_rng(2)
-    angle, radius = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(0.1, 0.195, 20_000)
-    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.15, 0.15, 20_000)])
+    angle, radius = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.1, 0.195, count)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.15, 0.15, count)])
     courses = straight(robot, np.zeros((1, 1)), np.ones((1, 1)))
     assert len(outside(body, passed(rng, robot, courses, "l1", points))) == 0
     assert not loewner.collide(body, None, Body.sphere(0.05), None)
@@ -296,9 +298,10 @@ def test_mutant_with_half_the_growth_refuses_its_own_hulls(tmp_path, monkeypatch
         written(tmp_path, TURNTABLE).swept([[0.0], [2.5]], tolerance=0.05)
 
 
-def test_lids_and_flat_cones_are_swept(tmp_path):
+@pytest.mark.parametrize("count", quick(3, 8))
+def test_lids_and_flat_cones_are_swept(count: int, tmp_path):
     """Their extreme points lie in the plane of the rim, and the apex comes as well."""
-    turns = rotations(np.random.default_rng(0), 8)
+    turns = rotations(np.random.default_rng(0), count)
     angles = np.linspace(0, 2 * np.pi, 30, endpoint=False)
     rim = np.stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), 0 * angles], axis=1)
     lid = np.concatenate([rim, [[0, 0, 0.03]]])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from families import translation
 from gantry import LEFT, RIGHT, UP, gantry_robot
 from loewner import Body, CollisionChecker, InputError, PlanningError, Scene, Verdict, planners
-from sampling import examples
+from sampling import examples, quick
 from test_plans_in_time import gate
 
 SAMPLES = 1001
@@ -126,7 +126,8 @@ def test_corners_are_passed_without_a_stop(slider):
     assert stopped.duration > found.duration
 
 
-def test_the_robot_goes_slower_where_it_cannot_wait(slider):
+@pytest.mark.parametrize("step", quick(0.05, 0.01))
+def test_the_robot_goes_slower_where_it_cannot_wait(slider, step):
     """A ball comes to the start at 0.8 s; another is where the path ends until 3 s, and no later start is free."""
     scene = Scene()
     scene.add("behind", Body.sphere(0.1))
@@ -135,7 +136,7 @@ def test_the_robot_goes_slower_where_it_cannot_wait(slider):
     scene.follow("ahead", [0.0, 3.0, 4.0], [translation(0.5, -0.5), translation(0.5, -0.5), translation(0.5, 1.0)])
     checker, path = CollisionChecker(slider, scene), [LEFT, RIGHT]
     fastest = planners.trajectory(slider, path, **HASTE)
-    for wait in np.arange(0.0, 5.0, 0.01):
+    for wait in np.arange(0.0, 5.0, step):
         waits = checker.certify_edges(LEFT, LEFT, t0=0.0, t1=wait).verdict == Verdict.FREE
         assert not (waits and checker.certify_trajectory(fastest, t0=wait).verdict == Verdict.FREE)
     found = planners.time_path(checker, path, start_time=0.0, **HASTE)
@@ -225,7 +226,7 @@ def test_errors_of_joints_are_covered(slider):
 
 
 @given(seed=st.integers(0, 2**32 - 1), jerk=st.sampled_from([None, 30.0]))
-@examples(8, 20)
+@examples(4, 20)
 def test_random_bodies_are_not_met(slider, seed, jerk):
     """Balls wander; the distance of each to the robot's ball follows from their centres, at dense times."""
     rng, scene = np.random.default_rng(seed), Scene()

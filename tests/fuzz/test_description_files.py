@@ -501,7 +501,7 @@ def checked_as_is(kind: str) -> str | None:
     return next(filter(None, map(fault_of_problem, read_motion_bench_maker(path))), None)
 
 
-@pytest.mark.parametrize("count", quick(30, 60))
+@pytest.mark.parametrize("count", quick(12, 60))
 def test_some_damaged_descriptions(count):
     """A small part of the campaign below."""
     pytest.importorskip("pinocchio")
