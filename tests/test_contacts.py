@@ -74,7 +74,7 @@ def test_an_allowed_pair_of_an_attached_body_is_named_in_a_warning():
 
 @pytest.mark.parametrize("margin", [0.004, pytest.param(0.0, marks=pytest.mark.verify)])
 @pytest.mark.parametrize("sunk", [0.0, 1e-17, 0.002, -0.003])
-@pytest.mark.parametrize("count", quick(12, 60))
+@pytest.mark.parametrize("count", quick(16, 60))
 def test_free_and_colliding_are_as_plane_geometry_says(margin, sunk, count):
     """FREE: no deeper than at the start, or nearer within the margin, until apart; then apart. COLLIDING: nearer."""
     checker = can_on_table(margin, sunk, leave=["table"])

@@ -149,7 +149,12 @@ MUTANTS = 60
 
 
 @pytest.mark.parametrize(
-    "count", [pytest.param(MUTANTS, id="some"), pytest.param(20_000, id="many", marks=pytest.mark.verify)]
+    ("agrees", "count"),
+    [
+        pytest.param("-O0", MUTANTS, id="some"),
+        pytest.param("-O2", 20_000, id="many", marks=pytest.mark.verify),
+    ],
+    indirect=["agrees"],
 )
 def test_they_agree_about_mutants(count, agrees):
     """Whatever is changed in a file, with its checksum made good, both give the same answer, mostly a refusal."""
