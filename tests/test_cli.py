@@ -913,6 +913,7 @@ def test_plan_in_time(with_end, capsys):
         ),
         (["--leave", "ball", "gate"], 2, "--leave: expected a plan that is not in time, found --start-time and --vel"),
         (["--reach", "ball", "gate"], 2, "--reach: expected a plan that is not in time, found --start-time and --vel"),
+        (["--overlap", "0.5"], 2, "--overlap: expected a plan that is not in time, found --start-time and --vel"),
     ):
         status, out, err = run(capsys, *ask, *more)
         assert (status, out) == (wanted, "")

@@ -415,6 +415,22 @@ def test_a_body_contains_the_way_across_a_small_gap_between_parts(written):
     assert loewner.collide(Body.load("o.npz"), np.eye(4), Body.sphere(1e-6), corner)
 
 
+def test_a_body_stays_in_the_hold_of_a_link_between_parts(written, capsys):
+    """The second part begins 8 mm beyond the end of the first, and the can comes there with the cart."""
+    parts = [of_joints((0, begin), (1, end), names=["slide"]) for begin, end in ((0, 0.2), (0.208, 1))]
+    message = written({"trajectory": parts})
+    bodies = "bodies:\n  can: {box: [0.1, 0.1, 0.1], position: [0.3, 0.11, 0]}\n"
+    for near, status in ((0.005, 1), (0.009, 0)):
+        post = f"  post: {{box: [0.1, 0.1, 0.1], position: [{1.4 - 0.008 + near}, 0.11, 0]}}"
+        written(bodies + post, "s.yaml")
+        words = "--scene", "s.yaml", "--attach", "can=cart", "--json"
+        ended, out, _ = audit(capsys, message, *words)
+        assert (ended, json.loads(out)["parts"][1]["verdict"]) == (status, ("FREE", "COLLIDING")[status])
+    assert main(["swept", "r.urdf", message, *words[:-1], "--tolerance", "0.001", "-o", "o.npz"]) == 0
+    corner = translation(1.3 + 0.0499, 0.11, 0.0)
+    assert loewner.collide(Body.load("o.npz"), np.eye(4), Body.sphere(1e-6), corner)
+
+
 def test_contact_on_the_way_from_the_present_state_may_not_be_deep(written, capsys):
     """The same state as the file's first row has the same status: `leave` allows contact, not a wrong pose."""
     written("bodies:\n  post: {box: [0.1, 0.1, 0.1], position: [0.33, 0, 0]}\nleave: [[post, cart]]", "s.yaml")

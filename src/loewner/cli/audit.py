@@ -49,8 +49,8 @@ trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by its
   --start-time. Parts of a message follow each other without a pause.
 
 attach: in the named part, or in all parts, the link carries the body of the scene. The link picks the body up where it
-  is when the part begins, and puts it down where the part ends. Bodies that the message attaches have to be attached by
-  this option or in the scene file.
+  is when the part begins, and puts it down where the part ends, but a body that the same link carries in the next part
+  stays in the link's hold. Bodies that the message attaches have to be attached by this option or in the scene file.
 
 controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
   cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers

@@ -184,10 +184,9 @@ def _begin_in_time(options: argparse.Namespace, scene: loewner.Scene) -> None:
             f"--proof: plans in time have no proofs yet, and this is one by {listing}; write the trajectory by --out, "
             "which loewner audit without --proof proves again"
         )
-    contact = "among moving bodies, all contact is a collision"
-    for name, why in (("improve-for", "no trajectory is improved"), ("leave", contact), ("reach", contact)):
-        if getattr(options, name.replace("-", "_")):
-            raise InputError(f"--{name}: expected a plan that is not in time, found {listing}; {why}")
+    wanted = f"{{}}: expected a plan that is not in time, found {listing}; "
+    inputs.refuse(options, ["improve_for"], wanted + "no trajectory is improved")
+    inputs.refuse(options, ["leave", "reach", "overlap"], wanted + "among moving bodies, all contact is a collision")
 
 
 def _found(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -84,32 +84,46 @@ def read(
 
 
 def carried(
-    parts: Iterable[tuple[Part, dict[str, str]]],
+    parts: Sequence[tuple[Part, dict[str, str]]],
     scene: loewner.Scene,
     robot: loewner.Robot,
     arrive: Callable[[int], None] = lambda number: None,
 ) -> Iterator[Part]:
-    """Yield each part while links carry its bodies. Afterwards, the bodies stay at the poses that they have reached.
+    """Yield each part while links carry its bodies.
 
-    Before links take the bodies of a part, `arrive` is called with the number of the part.
+    A body that the same link carries in the next part keeps its pose in the link, also if the next part begins
+    elsewhere. All other bodies stay at the poses that they have reached. Before links take the bodies of a part,
+    `arrive` is called with the number of the part.
     """
-    for number, (part, carrying) in enumerate(parts):
+    held = dict[str, Floats]()
+    following = [*(carrying for _, carrying in parts[1:]), dict[str, str]()]
+    for number, ((part, carrying), after) in enumerate(zip(parts, following, strict=True)):
         arrive(number)
-        _carry(scene, robot, part, carrying)
+        _carry(scene, robot, part, carrying, held)
         yield part
-        for body, link in carrying.items():
-            scene.detach(body, product(_link_pose(robot, part, -1, link), scene.attachments[body].T_link_body))
+        poses = {body: scene.attachments[body].T_link_body for body in carrying}
+        held = {body: T for body, T in poses.items() if after.get(body) == carrying[body]}
+        for body in poses.keys() - held:
+            scene.detach(body, product(_link_pose(robot, part, -1, carrying[body]), poses[body]))
 
 
-def _carry(scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str]) -> None:
-    """Let links carry bodies from the beginning of a part, starting at the present pose of each body."""
+def _carry(
+    scene: loewner.Scene, robot: loewner.Robot, part: Part, carrying: dict[str, str], held: dict[str, Floats]
+) -> None:
+    """Let links carry bodies from the beginning of a part. `held` has the poses in the link of bodies that stay there.
+
+    Other bodies are at their present poses when the part begins.
+    """
     touching = part.origin.touching if isinstance(part, planners.ControllerPoints) else {}
     for body, link in carrying.items():
-        if body in scene.attachments or body in scene.following:
+        begin = _link_pose(robot, part, 0, link)
+        if body in held:
+            scene.detach(body, product(begin, held[body]))  # The links that it may touch can differ.
+        elif body in scene.attachments or body in scene.following:
             raise InputError(f"--attach {body}={link}: expected a static body of the scene, found one that moves")
         if body in scene.bounds:
             raise InputError(f"--attach {body}={link}: expected a body at a known pose, found an error of its pose")
-        T_link_body = in_frame(_link_pose(robot, part, 0, link), scene.pose(body))
+        T_link_body = held.get(body, in_frame(begin, scene.pose(body)))
         leave, reach = (
             [other for pair in rules if body in pair for other in pair if other != body]
             for rules in (scene.leaving, scene.reaching)

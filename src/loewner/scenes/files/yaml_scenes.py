@@ -285,7 +285,7 @@ def _add_moving(scene: Scene, name: str, body: Body, margin: float | None, entry
         if "rpy" in before and "rpy" in after:
             angles = np.array([before["rpy"].numbers(3), after["rpy"].numbers(3)])
             # Angles within pi cause no warning: they may have been wrapped, and then their difference is not the turn.
-            if min(np.abs(angles).max(), np.ptp(angles, axis=0).max()) > np.pi:
+            if min(np.abs(angles).max() / 2, np.ptp(angles / 2, axis=0).max()) > np.pi / 2:
                 warn(
                     f"{row.file}, line {row.line}: expected roll, pitch and yaw within pi of those in the row before, "
                     f"found {angles[1].tolist()}; the body turns through the smaller angle; add a row between"
