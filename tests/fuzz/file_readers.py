@@ -53,9 +53,11 @@ def _written(name: str, write: Callable[[Path], Any]) -> bytes:
         return path.read_bytes()
 
 
+_examples = cache(mesh_examples.examples)
+
+
 def _meshes(suffix: str) -> list[bytes]:
-    examples = mesh_examples.examples().values()
-    return [next(iter(files.values())) for files, of in examples if of == suffix and len(files) == 1]
+    return [next(iter(files.values())) for files, of in _examples().values() if of == suffix and len(files) == 1]
 
 
 def _bodies() -> list[bytes]:
