@@ -170,7 +170,7 @@ def test_every_public_callable_is_called():
     assert not {name: p - public[name] for name, p in called.items() if p - public[name]}
 
 
-@pytest.mark.parametrize("every", quick(3, 1))
+@pytest.mark.parametrize("every", quick(6, 1))
 def test_some_bad_arguments(every):
     """A sample of the calls below: of callables the right arguments, and of parameters one bad value each."""
     chosen = []

@@ -108,23 +108,27 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
 
 
 @cache
-def prepared(folder: Path) -> dict[str, tuple[Callable[[], Any], bytes]]:
-    """Calls by name, and what each answers, as bytes."""
-    found = {}
-    for name, call in calls(folder).items():
-        found[name] = call, pickle.dumps(call())
-    return found
+def made(folder: Path) -> dict[str, Callable[[], Any]]:
+    return calls(folder)
+
+
+@cache
+def prepared(folder: Path, name: str) -> tuple[Callable[[], Any], bytes]:
+    """A call, and what it answers, as bytes."""
+    call = made(folder)[name]
+    return call, pickle.dumps(call())
 
 
 def campaign(folder: Path, count: int, seed: int) -> tuple[list[driver.Outcome], Counter[str]]:
     """Outcomes of `count` interrupted calls, all names and layouts in turn, and how they ended."""
-    prepared(folder)  # here, once: the driver's processes are forks of this one
     draw = random.Random(seed)
-    names = list(prepared(folder))
+    names = list(made(folder))
     first = draw.randrange(len(names))
     cases = [
         (names[(first + k) % len(names)], LAYOUTS[k % len(LAYOUTS)], draw.random(), str(folder)) for k in range(count)
     ]
+    for name, *_ in cases:
+        prepared(folder, name)  # here, once: the driver's processes are forks of this one
     outcomes = driver.run(interrupted, cases, limit=60.0)
     told = (folder / "endings").read_text().split() if (folder / "endings").exists() else []
     return outcomes, Counter(told)
@@ -133,7 +137,7 @@ def campaign(folder: Path, count: int, seed: int) -> tuple[list[driver.Outcome],
 def interrupted(case: tuple[str, str, float, str]) -> str | None:
     """Interrupt a call when a share of its usual time is over; say what is wrong, or write down how it ended."""
     name, layout, part, folder = case
-    call, answer = prepared(Path(folder))[name]
+    call, answer = prepared(Path(folder), name)
     loewner.set_num_threads(1 if layout == "alone" else 2)
     start = time.perf_counter()
     call()
@@ -269,71 +273,11 @@ def test_an_interrupt_while_a_file_is_written(folder: Path, monkeypatch: pytest.
     assert not (folder / "interrupted.npz").exists()
 
 
-def losses(count: int, seed: int) -> tuple[int, list[str]]:
-    """Interrupt `collide` shared by two threads, and in every other round the garbage collector after it.
-
-    Return how many interrupts were lost, and where. The handler counts what it raises, so the test itself loses none:
-    each is caught in the call, or in the wait after it.
-
-    Python drops what is raised in a finalizer, such as a weak reference's callback. A signal that arrives while the
-    collector works is handled in the first finalizer in Python of what it found; each thread of `call` has one. So an
-    interrupted call must leave nothing to the collector: neither its own objects nor, by a traceback, the callers'.
-    """
-    rng, draw, raised, caught = np.random.default_rng(0), random.Random(seed), 0, 0
-    rock, drum = Body.from_points(rng.normal(size=(40, 3))), Body.cylinder(0.5, 2.0)
-    Ta, Tb = random_poses(rng, 12_000), random_poses(rng, 12_000)
-    dropped: list[str] = []
-
-    def interrupt(*_: Any) -> None:
-        nonlocal raised
-        raised += 1
-        raise KeyboardInterrupt
-
-    def call(k: int) -> None:
-        thread = threading.Thread(target=int)
-        thread.start()
-        thread.join()
-        usual = colliding if k % 2 == 0 else colliding + collecting
-        signal.setitimer(signal.ITIMER_REAL, 1e-6 + draw.random() * usual)
-        loewner.collide(rock, Ta, drum, Tb)
-        if k % 2:
-            gc.collect()
-        while raised == k:
-            time.sleep(0.0002)
-
-    before = signal.signal(signal.SIGALRM, interrupt), sys.unraisablehook, loewner.get_num_threads()
-    sys.unraisablehook = lambda what: dropped.append(f"{what.exc_type.__name__} in {what.object}")
-    loewner.set_num_threads(2)
-    gc.collect()
-    gc.freeze()  # as `conftest.py` does: the collector then takes as long as `heap` needs, not all that is loaded
-    heap = [[n] for n in range(100_000)]
-    try:
-        right = loewner.collide(rock, Ta, drum, Tb)
-        colliding, collecting = timed(lambda: loewner.collide(rock, Ta, drum, Tb)), timed(gc.collect)
-        for k in range(count):
-            try:
-                call(k)
-            except KeyboardInterrupt:
-                caught += 1
-        assert np.array_equal(loewner.collide(rock, Ta, drum, Tb), right)
-        assert len(heap) == 100_000
-    finally:
-        signal.signal(signal.SIGALRM, before[0])
-        sys.unraisablehook = before[1]
-        loewner.set_num_threads(before[2])
-    return raised - caught, dropped
-
-
-def timed(call: Callable[[], Any]) -> float:
-    """Duration of a call [s]."""
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start
-
-
 def losses_in_a_new_process(count: int, seed: int) -> tuple[int, list[str]]:
     """Count where nothing else ran: Hypothesis, for one, leaves a callback of the collector, which drops interrupts."""
-    program = f"import sys; sys.path[:0] = {sys.path!r}; import test_interrupts as t; print(t.losses({count}, {seed}))"
+    program = (
+        f"import sys; sys.path[:0] = {sys.path!r}; from lost_interrupts import losses; print(losses({count}, {seed}))"
+    )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return ast.literal_eval(done.stdout)
@@ -357,6 +301,6 @@ def test_many_interrupts(folder: Path):
     """A KeyboardInterrupt each, and right answers afterwards."""
     (folder / "endings").unlink(missing_ok=True)
     outcomes, endings = campaign(folder, 600, seed=2)
-    print(f"\ninterrupts: {len(outcomes)} of {len(prepared(folder))} calls, {dict(endings)}, 0 faults")
+    print(f"\ninterrupts: {len(outcomes)} of {len(made(folder))} calls, {dict(endings)}, 0 faults")
     assert not driver.faults(outcomes)
     assert endings["interrupted"] >= 100
