@@ -42,11 +42,13 @@ def dense(moved, between=40):
 
 def off_polyline(path, points):
     """How far points are from a polyline."""
-    best = np.full(len(points), np.inf)
-    for a, b in zip(path[:-1], path[1:], strict=True):
-        way = b - a
-        s = np.clip((points - a) @ way / (way @ way), 0, 1) if way.any() else np.zeros(len(points))
-        best = np.minimum(best, np.linalg.norm(a + s[:, None] * way - points, axis=1))
+    best, block = np.full(len(points), np.inf), max(1, 2**15 // max(1, len(points)))
+    for first in range(0, len(path) - 1, block):
+        corners = np.asarray(path[first : first + block + 1], dtype=float)
+        a, way = corners[:-1, None], np.diff(corners, axis=0)[:, None]
+        squared = (way * way).sum(axis=2)
+        s = np.clip(((points - a) * way).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0, 1)
+        best = np.minimum(best, np.linalg.norm(a + s[..., None] * way - points, axis=2).min(axis=0))
     return best
 
 
