@@ -414,22 +414,9 @@ def test_bad_limits_in_c(tmp_path):
         capi.Checker(tmp_path / "cell.lwn").certify(a[None], b[None], steps=-1)
 
 
-@needs_library
-@pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="it takes a C compiler and glibc")
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [
-        *(("balls_near_a_box", 4), ("dense_surfaces", 20), ("thousands_of_pieces", 1), ("grazing", 20)),
-        *(pytest.param(name, 20, marks=pytest.mark.verify) for name in ("balls_near_a_box", "thousands_of_pieces")),
-    ],
-)
-def test_proofs_allocate_nothing(tmp_path, name, count, rng):
-    """After the first proof of a workspace, neither proofs nor those that are given up allocate memory."""
-    checker, (a, b) = WORLDS[name]()
-    checker.save(tmp_path / "cell.lwn")
-    ends = b + 0.01 * rng.normal(size=(count, len(b)))
-    np.tile(a, (count, 1)).tofile(tmp_path / "from")
-    ends.tofile(tmp_path / "to")
+@pytest.fixture(scope="module")
+def counting(tmp_path_factory):
+    """The program that counts allocations."""
     told = [
         f"-I{HERE.parent / 'src' / 'loewner' / 'include'}",
         f"-L{library.HOME}",
@@ -439,12 +426,31 @@ def test_proofs_allocate_nothing(tmp_path, name, count, rng):
         "-Xlinker",
         str(library.HOME),
     ]
-    program = tmp_path / "program"
+    program = tmp_path_factory.mktemp("counting") / "program"
     subprocess.run(
         ["cc", "-std=c11", "-Wall", "-Wextra", "-Werror", HERE / "capi_allocations.c", *told, "-o", program], check=True
     )
+    return program
+
+
+@needs_library
+@pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="it takes a C compiler and glibc")
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        *(("balls_near_a_box", 4), ("dense_surfaces", 20), ("thousands_of_pieces", 1), ("grazing", 20)),
+        *(pytest.param(name, 20, marks=pytest.mark.verify) for name in ("balls_near_a_box", "thousands_of_pieces")),
+    ],
+)
+def test_proofs_allocate_nothing(tmp_path, counting, name, count, rng):
+    """After the first proof of a workspace, neither proofs nor those that are given up allocate memory."""
+    checker, (a, b) = WORLDS[name]()
+    checker.save(tmp_path / "cell.lwn")
+    ends = b + 0.01 * rng.normal(size=(count, len(b)))
+    np.tile(a, (count, 1)).tofile(tmp_path / "from")
+    ends.tofile(tmp_path / "to")
     for most in (100, 0):
-        asked = [program, tmp_path / "cell.lwn", str(most), tmp_path / "from", tmp_path / "to"]
+        asked = [counting, tmp_path / "cell.lwn", str(most), tmp_path / "from", tmp_path / "to"]
         counted, free = map(int, subprocess.run(asked, check=True, capture_output=True, text=True).stdout.split())
         assert counted == 0
         assert free == (checker.certify_edges(a, ends, steps=most or None).verdict == FREE).sum()

@@ -5,6 +5,7 @@ import random
 import shlex
 import struct
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,18 +46,24 @@ from test_written_proofs import around, panda  # noqa: F401
 SOURCE = Path(__file__).parents[1] / "examples" / "verify.c"
 
 
+@cache
+def compiled(factory, level):
+    """The second program, which all files of tests in this process use."""
+    program = factory.mktemp("compiled") / "verify"
+    compiler = shlex.split(os.environ.get("CC") or "cc")
+    flags = ["-std=c11", level, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
+    built = subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(program), "-lm"], capture_output=True, text=True)
+    assert (built.returncode, built.stderr) == (0, "")
+    return program
+
+
 @pytest.fixture(scope="module", params=quick("-O0", "-O2"))
 def agrees(request, tmp_path_factory):
     """Return a function of the bytes of a file: whether both programs verify it; an error if they differ.
 
     Only the first program decides all common points exactly; unless `exactly`, the second one may refuse more.
     """
-    folder = tmp_path_factory.mktemp("second")
-    program, file = folder / "verify", folder / "made.proof"
-    compiler = shlex.split(os.environ.get("CC") or "cc")
-    flags = ["-std=c11", request.param, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
-    built = subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(program), "-lm"], capture_output=True, text=True)
-    assert (built.returncode, built.stderr) == (0, "")
+    program, file = compiled(tmp_path_factory, request.param), tmp_path_factory.mktemp("second") / "made.proof"
 
     def both(data, exactly=True):
         file.write_bytes(data)
