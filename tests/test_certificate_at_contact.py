@@ -4,13 +4,15 @@ Certified verdicts must be true at whatever distance from contact, in single pre
 (``-m verify``) is the same on more pairs.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
 import loewner
 from contacts import APART, MEETING, Contacts, Setting, contacts, ellipsoid_bodies, judge
 from families import box_corners, pieces, rotations
-from loewner import Bodies, Verdict
+from loewner import Bodies, Body, Verdict
 from oracles import exact_collides, hull, pack, signed_distances
 from sampling import quick
 
@@ -54,10 +56,16 @@ def wrong_and_judged(
     return wrong, proven, unknown
 
 
+@lru_cache(maxsize=2)
+def singles(bodies: Bodies) -> list[Body]:
+    """Each of them as a body of its own."""
+    return list(bodies)
+
+
 def answers(a: Bodies, b: Bodies, c: Contacts, each: int, margin: float, alone: bool) -> np.ndarray:
     """Verdicts of all pairs in one call, or each by itself."""
     if alone:
-        one = [(a[k], b[k]) for k in range(len(a))]
+        one = list(zip(singles(a), singles(b), strict=True))
         calls = zip(c.k, c.Ta, c.Tb, strict=True)
         return np.array([loewner.classify(one[k][0], Ta, one[k][1], Tb, margin=margin) for k, Ta, Tb in calls])
     shape = (each, len(a), 4, 4)

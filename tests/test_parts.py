@@ -19,6 +19,7 @@ from loewner.bodies.flat_faces import flat_faces
 from loewner.ellipsoids.polytopes import Polytope
 from loewner.planners.judge import Judge
 from motion_oracle import assert_true, steps
+from sampling import quick
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
 
@@ -417,21 +418,23 @@ def test_flat_faces_end_where_neighbours_turn():
 
 
 @pytest.mark.parametrize("faces", [0, 24, 288])
-def test_a_triangle_that_is_a_point_is_a_part_as_well(faces):
+@pytest.mark.parametrize("every", quick(31, 7))
+def test_a_triangle_that_is_a_point_is_a_part_as_well(faces, every):
     """Its corners coincide, so its ellipsoid has no extent; motions near the surface are proven nevertheless."""
     vertices, triangles = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1.0]]), np.array([[0, 1, 2]])
     if faces:
         made = trimesh.creation.icosphere(subdivisions=0 if faces == 24 else 2)
         vertices, triangles = made.vertices, made.faces
-    for vertex in range(0, len(vertices), 7):
+    urdf = (
+        '<robot name="r"><link name="base"/><link name="l"><collision><geometry><sphere radius="0.1"/></geometry>'
+        '</collision></link><joint name="j" type="prismatic"><parent link="base"/><child link="l"/>'
+        '<axis xyz="1 0 0"/><limit lower="-1" upper="5"/></joint></robot>'
+    )
+    robot = Robot.from_urdf(text=urdf)
+    for vertex in range(0, len(vertices), every):
         body = Body.from_surface((vertices, np.append(triangles, [[vertex] * 3], axis=0)))
         scene = Scene()
         scene.add("surface", body, translation(x=3.0))
-        urdf = (
-            '<robot name="r"><link name="base"/><link name="l"><collision><geometry><sphere radius="0.1"/></geometry>'
-            '</collision></link><joint name="j" type="prismatic"><parent link="base"/><child link="l"/>'
-            '<axis xyz="1 0 0"/><limit lower="-1" upper="5"/></joint></robot>'
-        )
-        checker = CollisionChecker(Robot.from_urdf(text=urdf), scene)
+        checker = CollisionChecker(robot, scene)
         assert checker.certify_edges([-1.0], [0.5]).verdict == Verdict.FREE
         assert np.isfinite(checker.clearance([0.0]))

@@ -1,6 +1,7 @@
 """``loewner report``: the file is enough to run a query again, holds nothing private, and damage to it is refused."""
 
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -16,13 +17,23 @@ from loewner.cli import report
 SECRET = "/home/ada"
 
 
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A folder with a report of two boxes and the files that it is about; each test has a copy."""
+    folder = tmp_path_factory.mktemp("reported")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        trimesh.creation.box((1, 1, 1)).export("cup.stl")
+        loewner.Body.box([2, 1, 1]).save("table.npz")
+        assert cli.main(["report", "check", "cup.stl", "table.npz", "--pose-b", "1.6 0 0", "-o", "pair.zip"]) == 0
+    return folder
+
+
 @pytest.fixture
-def pair(tmp_path, monkeypatch):
+def pair(reported, tmp_path, monkeypatch):
     """The report of two boxes that are 0.1 m apart along x, one of them a mesh."""
     monkeypatch.chdir(tmp_path)
-    trimesh.creation.box((1, 1, 1)).export("cup.stl")
-    loewner.Body.box([2, 1, 1]).save("table.npz")
-    assert cli.main(["report", "check", "cup.stl", "table.npz", "--pose-b", "1.6 0 0", "-o", "pair.zip"]) == 0
+    shutil.copytree(reported, tmp_path, dirs_exist_ok=True)
     return Path("pair.zip")
 
 
