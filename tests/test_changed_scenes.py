@@ -87,7 +87,7 @@ def test_a_patched_checker_answers_as_one_made_anew(seed, pool, tmp_path):
 
 
 @given(st.integers(0, 2**32 - 1))
-@examples(8, 20)
+@examples(4, 20)
 def test_packs_that_are_joined_are_as_made_anew(seed):
     """Joined arrays for kernels equal those made of all pieces, up to the tables of addresses and unused children."""
     rng = np.random.default_rng(seed)

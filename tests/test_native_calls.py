@@ -20,6 +20,7 @@ from loewner import Bodies, Body, CollisionChecker, Distance, LoewnerError, Scen
 from loewner._kernels import records
 from loewner._native import entries, library, singles
 from loewner.robots.checking import edges
+from sampling import quick, quick_of
 
 native = pytest.mark.skipif(library.level() is None, reason=f"no native library: {library.why_not()}")
 
@@ -347,7 +348,7 @@ def two_checkers(rng, folder):
     return CollisionChecker(robot, scene), CollisionChecker(robot, scene)
 
 
-@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(k, marks=pytest.mark.verify) for k in range(5, 12))])
+@pytest.mark.parametrize("seed", quick_of(range(12), range(2)))
 def test_configurations_are_answered_as_the_long_way_has_them(seed, tmp_path, long_way):
     """Of any robot and scene, while bodies move and are grasped, and pairs take another order."""
     rng = np.random.default_rng(seed)
@@ -467,7 +468,8 @@ def test_what_is_raised_on_the_way_reaches_the_caller(sliders):
 
 
 @native
-def test_configurations_leak_nothing(sliders):
+@pytest.mark.parametrize("rounds", quick(3_000, 10_000))
+def test_configurations_leak_nothing(sliders, rounds):
     """After many calls arguments have the references that they had, and memory has not grown."""
     checker, _ = sliders
     checker.collide([0.5, 0.0])
@@ -485,7 +487,7 @@ def test_configurations_leak_nothing(sliders):
                 held[4].collide(x)
 
     checker._next_look = 10**9  # no other order of pairs meanwhile, which would be another object
-    before, after, grown = left_behind(many, 10_000, held)
+    before, after, grown = left_behind(many, rounds, held)
     assert after == before
     assert grown < 10_000
 

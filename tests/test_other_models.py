@@ -25,18 +25,19 @@ COUPLED = """<mujoco model="coupled"><worldbody>
 <keyframe><key name="k" qpos="0.1 0.2 0.3 0 0 1 1 0 0 0"/></keyframe></mujoco>"""
 
 
-COUNT = 300
+COUNT, DETAILS = 300, 100
 
 
-@pytest.fixture(autouse=True, params=quick(120, 300))
+@pytest.fixture(autouse=True, params=quick((120, 30), (300, 100)), ids=str)
 def number(request, monkeypatch):
-    """How many configurations are compared."""
-    monkeypatch.setitem(globals(), "COUNT", request.param)
+    """How many configurations are compared, and of how many all pairs, whatever the verdicts."""
+    for name, value in zip(("COUNT", "DETAILS"), request.param, strict=True):
+        monkeypatch.setitem(globals(), name, value)
 
 
 def agreed(theirs, count=None, details=None):
     """Expect no difference that is not within the tolerances of the other library."""
-    count, details = count or COUNT, 100 if details is None else details
+    count, details = count or COUNT, DETAILS if details is None else details
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         told = compare(theirs, count, details=details)
@@ -52,10 +53,10 @@ def agreed(theirs, count=None, details=None):
 # -- pinocchio --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", quick(0, 1, 2))
 def test_pinocchio_joints(seed):
     """Links are where pinocchio has its frames, and the same pairs touch, for joints of every kind and mimics."""
-    told = agreed(Pinocchio(*made_of_every_joint(seed)))
+    told = agreed(Pinocchio(*made_of_every_joint(seed)), details=100)
     assert 0 < told["hits"] < COUNT
     assert told["pairs"] > 10
 

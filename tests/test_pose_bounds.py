@@ -27,7 +27,7 @@ from test_moving_bodies import moving_scene, turned
 
 RADIUS = 0.1  # of the ball that slides along x and y
 SAMPLES = 20
-SEEDS = pytest.mark.parametrize("seed", quick_of(range(40), range(4)))
+SEEDS = pytest.mark.parametrize("seed", quick_of(range(40), range(2)))
 
 
 @pytest.fixture(scope="module")

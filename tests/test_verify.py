@@ -15,6 +15,7 @@ import pytest
 
 from loewner import verify as checker
 from loewner.verify import Refused, main, verify
+from sampling import quick
 
 SOURCE = Path(checker.__file__)
 
@@ -579,7 +580,7 @@ def test_accepted_planes_separate(chains):
     assert accepted > 5
 
 
-@FEW_OR_MANY
+@pytest.mark.parametrize("chains", quick(10, 1000))
 def test_no_plane_proves_more_than_the_closest_approach(chains):
     """A margin that two balls miss by 1e-9 m, or by 1e-9 m with deviations, is proven by no plane in no interval."""
     rng, proven, meetings = np.random.default_rng(7), 0, 0
