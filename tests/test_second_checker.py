@@ -5,7 +5,6 @@ import random
 import shlex
 import struct
 import subprocess
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,14 +45,14 @@ from test_written_proofs import around, panda  # noqa: F401
 SOURCE = Path(__file__).parents[1] / "examples" / "verify.c"
 
 
-@cache
-def compiled(factory, level):
-    """The second program, which all files of tests in this process use."""
-    program = factory.mktemp("compiled") / "verify"
-    compiler = shlex.split(os.environ.get("CC") or "cc")
-    flags = ["-std=c11", level, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
-    built = subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(program), "-lm"], capture_output=True, text=True)
-    assert (built.returncode, built.stderr) == (0, "")
+def compiled(folder, level):
+    """The second program in a folder: all files of tests in a process have the same folder, and compile it once."""
+    program = folder / f"second-checker{level}"
+    if not program.exists():
+        compiler = shlex.split(os.environ.get("CC") or "cc")
+        flags = ["-std=c11", level, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"]
+        told = subprocess.run([*compiler, *flags, SOURCE, "-o", program, "-lm"], capture_output=True, text=True)
+        assert (told.returncode, told.stderr) == (0, "")
     return program
 
 
@@ -63,7 +62,7 @@ def agrees(request, tmp_path_factory):
 
     Only the first program decides all common points exactly; unless `exactly`, the second one may refuse more.
     """
-    program, file = compiled(tmp_path_factory, request.param), tmp_path_factory.mktemp("second") / "made.proof"
+    program, file = compiled(tmp_path_factory.getbasetemp(), request.param), tmp_path_factory.mktemp("second") / "made.proof"
 
     def both(data, exactly=True):
         file.write_bytes(data)
