@@ -9,10 +9,10 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
+from loewner._kernels._jit import njit
 from loewner.gpu import _ptx, driver
 
 INVALID_VALUE, INVALID_CONTEXT, NOT_FOUND = 1, 201, 500
@@ -36,7 +36,7 @@ def looped(kernel: str) -> Any:
     (module,) = (module for module, names in _ptx.KERNELS.items() if kernel in names)
     thread = getattr(import_module(f"loewner._kernels.threads.{module}"), kernel)
 
-    @numba.njit
+    @njit()
     def loop(threads: int, *arguments: int) -> None:
         for k in range(threads):
             thread(k, *arguments)

@@ -1,6 +1,7 @@
 """What proven motions are held against: dense samples, answers in closed form, and samples of the kernels' bounds."""
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +46,16 @@ def written(folder: Path, text: str) -> Robot:
     return Robot.from_urdf(path)
 
 
-def example(urdf: str, srdf: str) -> Robot:
-    """A robot of example-robot-data."""
+def read_example(urdf: str, srdf: str) -> Robot:
+    """A robot of example-robot-data, read anew."""
     folder = robots_folder()
     return Robot.from_urdf(folder / urdf, srdf=folder / srdf, package_dirs=[folder.parents[1]])
+
+
+@cache
+def example(urdf: str, srdf: str) -> Robot:
+    """The same robot, which tests share: none changes it."""
+    return read_example(urdf, srdf)
 
 
 def ring(rng: np.random.Generator, count: int, near: float, far: float, size: float) -> Scene:

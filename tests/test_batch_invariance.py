@@ -110,9 +110,10 @@ def test_any_order_and_repeats(crowd: Crowd):
         assert np.array_equal(crowd.ask(some)[0], verdict)
 
 
-def test_any_number_of_threads(crowd: Crowd):
+@pytest.mark.parametrize("pairs", quick(9_001, 13_001))
+def test_any_number_of_threads(crowd: Crowd, pairs: int):
     """Enough pairs that several threads get some, each starting a range of its own."""
-    rows = np.random.default_rng(2).integers(len(crowd.Ta), size=13_001)
+    rows = np.random.default_rng(2).integers(len(crowd.Ta), size=pairs)
     operands = crowd.a[rows], crowd.Ta[rows], crowd.b[rows], crowd.Tb[rows]
     for count in (1, 2):
         with threads(count):

@@ -68,7 +68,8 @@ def crumbs(count):
     one = trimesh.creation.icosphere(0, 0.01)
     angles = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
     at = np.stack([0.2 * np.cos(angles), 0.2 * np.sin(angles), 0.02 * np.cos(9 * angles)], axis=1)
-    return Body.from_surface(trimesh.util.concatenate([one.copy().apply_translation(x) for x in at]))
+    faces = one.faces + len(one.vertices) * np.arange(count)[:, None, None]
+    return Body.from_surface(((one.vertices + at[:, None]).reshape(-1, 3), faces.reshape(-1, 3)))
 
 
 def motion(robot, start, way, turn):
@@ -177,10 +178,14 @@ def more_than_the_limit(checker):
     return MORE + 2 * len(bodies) + len(ready.pairs) // 8 + pieces
 
 
-def limits(most):
+def limits(most, count=14):
     """Limits below a number of steps, shortly before it, at it, and above."""
     late = [most - left for left in (500, 250, 150, 110) if left < most]
-    return [*np.unique(np.geomspace(1, most - 1, 14).astype(int)).tolist(), *late, most, most + 1, 2 * most]
+    return [*np.unique(np.geomspace(1, most - 1, count).astype(int)).tolist(), *late, most, most + 1, 2 * most]
+
+
+# How many limits are tried below the number of steps.
+COUNTS = pytest.mark.parametrize("count", quick(5, 14))
 
 
 def held(whole, limited, most, more, taken):
@@ -198,12 +203,13 @@ def held(whole, limited, most, more, taken):
     "name", [pytest.param(k, marks=[pytest.mark.verify] * (k == "surfaces_within_each_other")) for k in WORLDS]
 )
 @pytest.mark.parametrize("error", [0.0, pytest.param(1e-4, marks=pytest.mark.verify)])
-def test_no_proof_takes_more_than_its_limit(name, error):
+@COUNTS
+def test_no_proof_takes_more_than_its_limit(name, error, count):
     """Up to a number that depends on the scene; and it is AMBIGUOUS, or has the verdict of a proof without a limit."""
     checker, (a, b) = WORLDS[name]()
     whole, more = checker.certify_edges(a, b, joint_error=error), more_than_the_limit(checker)
     stopped = 0
-    for most in limits(whole.steps):
+    for most in limits(whole.steps, count):
         found = checker.certify_edges(a, b, joint_error=error, steps=most)
         held(whole, found, most, more, found.steps)
         stopped += found.verdict == AMBIGUOUS and found.steps > most
@@ -333,13 +339,14 @@ def curve_through(rng, checker, count):
     return PPoly(np.stack([np.tile(-bend, (count, 1)), ways, at]), t)
 
 
-def test_curves_keep_the_limit(rng):
+@COUNTS
+def test_curves_keep_the_limit(rng, count):
     """The segments of a curve share the steps; segments that are left over are AMBIGUOUS, without names."""
     checker, _ = balls_near_a_box()
     curve = curve_through(rng, checker, 60)
     whole, more = checker.certify_trajectory(curve), more_than_the_limit(checker)
     total = int(whole.segments.steps.sum())
-    for most in limits(total):
+    for most in limits(total, count):
         found = checker.certify_trajectory(curve, steps=most)
         held(whole, found, most, more, int(found.segments.steps.sum()))
     found = checker.certify_trajectory([curve, curve], steps=total // 2)
@@ -360,7 +367,8 @@ def test_batches_keep_the_limit(rng, count):
     assert len(np.unique(found.verdict)) == 3
 
 
-def test_contact_that_ends_keeps_the_limit():
+@COUNTS
+def test_contact_that_ends_keeps_the_limit(count):
     """Where a pair may be in contact at the start, the proofs of how it ends count, too; and a pair that they leave
     open is not COLLIDING."""
     robot = carriage(Body.box([0.2, 0.2, 0.2]))
@@ -370,7 +378,7 @@ def test_contact_that_ends_keeps_the_limit():
     a, b = motion(robot, [0, 0, 0], [0.1, 0, 0.3], 1.0)
     whole = checker.certify_edges(a, b)
     assert whole.verdict == FREE
-    for most in limits(whole.steps):
+    for most in limits(whole.steps, count):
         held(whole, checker.certify_edges(a, b, steps=most), most, more, checker.certify_edges(a, b, steps=most).steps)
 
 

@@ -25,7 +25,7 @@ from loewner import Body, CollisionChecker, FileError, InputError, Robot, Scene,
 from loewner.planners import ControllerPoints, Trajectory, trajectory
 from loewner.robots.proofs.courses import configurations
 from loewner.robots.proofs.curves import curve_of
-from motion_oracle import AFLOAT, example, free_configurations, ring, steps, written
+from motion_oracle import AFLOAT, example, free_configurations, read_example, ring, steps, written
 from sampling import quick
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
@@ -507,8 +507,8 @@ def test_joints_that_differ_are_named(arm):
 
 def test_curves_in_degrees_cause_a_warning():
     """As for motions; a curve within the limits causes none."""
-    for scale, warnings in ((1.0, 0), (180 / np.pi, 1)):
-        robot = example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
+    for scale, warnings in ((1.0, 0), (180 / np.pi, 1)):  # each robot warns once
+        robot = read_example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
         path = scale * np.linspace(robot.lower * 0.5, robot.upper * 0.5, 3)
         with warns.catch_warnings(record=True) as told:
             warns.simplefilter("always")

@@ -72,14 +72,15 @@ def shelf_points(rng):
 
 
 @pytest.mark.parametrize("kind", ["cloud", "open", "thick", "solid", "terrain"])
-def test_motions_within_the_box_of_a_surface(machine, kind, rng):
+@pytest.mark.parametrize("count", quick(25, 60))
+def test_motions_within_the_box_of_a_surface(machine, kind, rng, count):
     """None that is proven is refuted by 2,000 samples; each that collides does; and most are decided."""
     scene = Scene()
     scene.add("body", kinds(rng)[kind], translation(0.05, 0.02, 0.0))
     checker = CollisionChecker(machine, scene)
     Q = machine.random_configurations(300, 1)
     Q[:, :2] = rng.uniform(-0.95, 0.95, (300, 2))
-    Q = Q[~checker.collide(Q)][:60]
+    Q = Q[~checker.collide(Q)][:count]
     assert len(Q) >= 20
     verdicts = assert_true(checker, Q, steps(machine, rng, Q, 0.2))
     assert (verdicts == FREE).mean() > 0.2
