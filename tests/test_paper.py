@@ -33,7 +33,7 @@ from oracles import hull, pack, signed_distances
 from sampling import quick
 
 
-@pytest.fixture(scope="module", params=quick(400, 1000))
+@pytest.fixture(scope="module", params=quick(250, 1000))
 def outcome(request, tmp_path_factory):
     """One run of that many pairs with every file written, and what it told about its progress."""
     folder = tmp_path_factory.mktemp("paper")
