@@ -62,7 +62,8 @@ def agrees(request, tmp_path_factory):
 
     Only the first program decides all common points exactly; unless `exactly`, the second one may refuse more.
     """
-    program, file = compiled(tmp_path_factory.getbasetemp(), request.param), tmp_path_factory.mktemp("second") / "made.proof"
+    program = compiled(tmp_path_factory.getbasetemp(), request.param)
+    file = tmp_path_factory.mktemp("second") / "made.proof"
 
     def both(data, exactly=True):
         file.write_bytes(data)
