@@ -165,7 +165,7 @@ def test_checking_saved_bodies_needs_no_optional_package(tmp_path):
 def test_missing_frameworks_are_named(module, package, tmp_path, monkeypatch):
     """Without them, modules that need them can be imported, and their functions name what to install."""
     name = module.__name__.removeprefix("loewner.")
-    loewner.torch._functions.cache_clear()
+    loewner.torch._function_class.cache_clear()
     monkeypatch.setitem(sys.modules, name, None)
     urdf, _ = gantry(tmp_path)
     checker = loewner.CollisionChecker(loewner.Robot.from_urdf(urdf), skip_adjacent=False)
