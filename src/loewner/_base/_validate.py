@@ -330,6 +330,9 @@ def reporter(progress: Any) -> Progress:
 
 def broadcast(shapes: dict[str, tuple[int, ...]], error: type[InputError] = InputError) -> tuple[int, ...]:
     """Return the shape to which batch shapes broadcast; an error names shapes that do not broadcast."""
+    different = {*shapes.values()} - {()}
+    if len(different) < 2:  # usually; NumPy's function takes longer than the rest of a small query
+        return different.pop() if different else ()
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:

@@ -244,7 +244,7 @@ def plan_of(
     of_b = (len(b),) if isinstance(b, Bodies) else ()
     parts = {"a": of_a, "T_world_a": of_poses_a[:-2], "b": of_b, "T_world_b": of_poses_b[:-2]}
     shape = _validate.broadcast(parts, PoseError)
-    _validate.fits_memory(each * math.prod(shape), f"{_validate.shape_text(shape)} pairs")
+    _validate.fits_memory(each * math.prod(shape), f"{shape} pairs")
     strides = [_row_strides(part, len(shape)) for part in parts.values()]
     return Plan(shape, math.prod(shape), _collapse(shape, strides))
 
