@@ -431,6 +431,52 @@ def test_a_body_stays_in_the_hold_of_a_link_between_parts(written, capsys):
     assert loewner.collide(Body.load("o.npz"), np.eye(4), Body.sphere(1e-6), corner)
 
 
+@pytest.mark.parametrize("option", ["--from", "--others"])
+def test_where_an_earlier_part_ended_comes_before_options(written, capsys, option):
+    """The second part moves the slide alone, and the lift stays up, whatever the robot's state was at first."""
+    written("bodies:\n  post: {box: [0.1, 0.1, 0.1], position: [1.3, 0, 0.3]}", "s.yaml")
+    parts = [of_joints((0, 0.0), (1, 0.3), names=["lift"]), of_joints((0, 0.0), (1, 2.0), names=["slide"])]
+    status, out, _ = audit(capsys, written({"trajectory": parts}), "--scene", "s.yaml", option, "0,0")
+    assert status == 1
+    assert "lift = 0.3, from the end of trajectory[0]" in out
+
+
+def test_a_wait_between_parts_is_proven_among_moving_bodies(written, capsys):
+    """The second part begins where the first one ends, but two seconds later; meanwhile, a post passes."""
+    way = [{"time": t, "position": [0.3, y, 0]} for t, y in ((1.0, -3.0), (3.0, 3.0))]
+    written(f"bodies:\n  post: {{box: [0.1, 0.1, 0.1], follow: {{poses: {json.dumps(way)}}}}}", "s.yaml")
+    parts = [of_joints((0, 0.0), (1, 0.0), names=["slide"]), of_joints((2, 0.0), (3, 0.0), names=["slide"])]
+    status, out, _ = audit(capsys, written({"trajectory": parts}), "--scene", "s.yaml", "--start-time", "0")
+    assert status == 1
+    assert "the straight way from the end of part 1 to the first point is COLLIDING" in out
+
+
+def test_a_body_that_a_message_attaches_is_not_grasped_across_a_gap(written, capsys):
+    """The link has the can before the way to the first point, so its pose in the link is not the one at this point."""
+    written(CAN, "s.yaml")
+    message = copy.deepcopy(SOLUTION)
+    names = ["r.urdf", written(message), "--scene", "s.yaml", "--attach", "3:can=cart"]
+    assert main(["audit", *names]) in (0, 1)
+    capsys.readouterr()
+    message["sub_trajectory"][2]["trajectory"]["joint_trajectory"]["points"][0]["positions"] = [0.805]
+    written(message)
+    assert main(["audit", *names]) == 2
+    assert "found a gap of 0.005, so the pose of the body in the link is unknown" in capsys.readouterr().err
+
+
+def test_a_state_that_names_some_joints_is_reported(written, capsys):
+    """The others are taken as 0, which may not be where they are."""
+    written(
+        """<robot name="r"><group name="g"><joint name="slide"/></group>
+<group_state name="home" group="g"><joint name="slide" value="0"/></group_state></robot>""",
+        "r.srdf",
+    )
+    message = written({"trajectory": of_joints((0, 0.0), (1, 1.0), names=["slide"])})
+    written(CAN, "s.yaml")
+    _, _, err = audit(capsys, message, "--srdf", "r.srdf", "--scene", "s.yaml", "--from", "home")
+    assert "--from home: expected values of all joints, found none of lift, so 0 is assumed" in err
+
+
 def test_contact_on_the_way_from_the_present_state_may_not_be_deep(written, capsys):
     """The same state as the file's first row has the same status: `leave` allows contact, not a wrong pose."""
     written("bodies:\n  post: {box: [0.1, 0.1, 0.1], position: [0.33, 0, 0]}\nleave: [[post, cart]]", "s.yaml")

@@ -538,6 +538,21 @@ def test_more_than_half_a_turn_between_rows_of_a_file_is_reported(tmp_path, recw
     assert ["turns through the smaller angle" in str(each.message) for each in recwarn] == [True] * warns
 
 
+@pytest.mark.parametrize("bounds", [{"speed": 1.0}, {"error": (0.05, 0.0)}])
+def test_a_checker_notices_bounds_of_a_body_with_rules(slider, bounds):
+    """A rule of leave needs a known pose, so bounds that come after the checker has answered are refused as well."""
+    scene = Scene()
+    scene.add("box", Body.box([0.1, 0.1, 0.1]))
+    path = [0.0, 1.0], np.array([translation(5.0), translation(5.1)])
+    scene.follow("box", *path)
+    scene.leave("box", "ball")
+    checker = CollisionChecker(slider, scene)
+    assert checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1.0).verdict == Verdict.FREE
+    scene.follow("box", *path, **bounds)
+    with pytest.raises(InputError, match="expected bodies at known poses, found 'box'"):
+        checker.certify_edges(LEFT, LEFT, t0=0.0, t1=1.0)
+
+
 def test_bad_motions_are_refused(slider):
     """Motions, times and queries without a time."""
     scene = Scene()

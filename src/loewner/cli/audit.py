@@ -32,9 +32,6 @@ SHOWN = 5
 BEYOND = 4
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
-# A value is reported if it exceeds its limits by more than this. Rounding errors in files are smaller.
-ROUNDED = 1e-9
-
 EXAMPLES = """examples:
   loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3 -o moves.svg
@@ -98,8 +95,11 @@ def _run(options: argparse.Namespace) -> int:
         part, start, whence = parts[number][0], present, "--from"
         if number:
             start, whence = trajectories.end(robot, parts[number - 1][0], -1), f"the end of part {number}"
-            if np.abs(trajectories.end(robot, part, 0) - start).max() <= ROUNDED:
+            waits = bool(scene.following) and isinstance(part, planners.ControllerPoints) and part.times[0] > 0
+            if np.abs(trajectories.end(robot, part, 0) - start).max() <= trajectories.ROUNDED and not waits:
                 start = None
+        elif start is not None:
+            trajectories.expect_grasps_in_place(robot, start, part, parts[0][1])
         ways.append(None if start is None else _way_to(checker, part, start, whence, options.joint_error, overlap))
 
     for number, part in enumerate(trajectories.carried(parts, scene, robot, arrive)):
@@ -285,8 +285,8 @@ def _beyond_limits(
     ends = [limit_use.extremes(curve.courses[:, :, k], curve.times) for k in range(robot.dof)]
     least, most = np.array([[low[0], high[0]] for low, high in ends]).reshape(-1, 2).T
     (hard_lower, hard_upper), soft = position_limits(robot, limits), limits or robot
-    hard = (least < hard_lower - ROUNDED) | (most > hard_upper + ROUNDED)
-    outside = hard | (least < soft.lower - ROUNDED) | (most > soft.upper + ROUNDED)
+    hard = (least < hard_lower - trajectories.ROUNDED) | (most > hard_upper + trajectories.ROUNDED)
+    outside = hard | (least < soft.lower - trajectories.ROUNDED) | (most > soft.upper + trajectories.ROUNDED)
     lower, upper = np.where(hard, hard_lower, soft.lower), np.where(hard, hard_upper, soft.upper)
     return [
         {

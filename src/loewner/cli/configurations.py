@@ -15,7 +15,8 @@ import numpy as np
 import loewner
 from loewner._base import _archives, _json, _tables, _validate
 from loewner._base._files import read_regular, replacing
-from loewner._base._validate import Floats
+from loewner._base._plausible import warn
+from loewner._base._validate import Floats, some
 from loewner.errors import FileError, InputError, LoewnerError
 
 # Endings of files from which configurations are read, and of files to which paths are written.
@@ -111,7 +112,15 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
 
 
 def one(text: str | None, name: str, options: argparse.Namespace, robot: loewner.Robot) -> Floats | None:
-    """Read one configuration as `given` does; return None if `text` is None."""
+    """Read one configuration as `given` does; return None if `text` is None.
+
+    A state that does not name all joints causes a warning, since the others may be elsewhere.
+    """
+    if text in robot.states:
+        named = robot.states[text][1]
+        unnamed = [value for value in robot.configuration_names if not {value, value.rpartition("/")[0]} & named.keys()]
+        if unnamed:
+            warn(f"{name} {text}: expected values of all joints, found none of {some(unnamed)}, so 0 is assumed")
     return None if text is None else robot.checked_one(given(text, name, options, robot, None), name)
 
 

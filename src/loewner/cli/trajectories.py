@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,9 @@ from loewner.planners.controllers import TIMES
 from loewner.robots.proofs import curves
 
 CONTROLLERS = ("linear", "cubic", "quintic")
+
+# Configurations that differ by less are equal: files round their numbers.
+ROUNDED = 1e-9
 
 # Points with times, or a path without times, of shape (two or more, dof).
 Part = planners.ControllerPoints | Floats
@@ -99,12 +102,28 @@ def carried(
     following = [*(carrying for _, carrying in parts[1:]), dict[str, str]()]
     for number, ((part, carrying), after) in enumerate(zip(parts, following, strict=True)):
         arrive(number)
+        if number:
+            expect_grasps_in_place(robot, end(robot, parts[number - 1][0], -1), part, carrying.keys() - held)
         _carry(scene, robot, part, carrying, held)
         yield part
         poses = {body: scene.attachments[body].T_link_body for body in carrying}
         held = {body: T for body, T in poses.items() if after.get(body) == carrying[body]}
         for body in poses.keys() - held:
             scene.detach(body, product(_link_pose(robot, part, -1, carrying[body]), poses[body]))
+
+
+def expect_grasps_in_place(robot: loewner.Robot, here: Floats, part: Part, bodies: Iterable[str]) -> None:
+    """Refuse bodies that a message attaches to links when a part begins, unless the part begins where the robot is.
+
+    The link then has the body on the way to the first point, but the pose of the body in the link is unknown.
+    """
+    gap = float(np.abs(end(robot, part, 0) - here).max())
+    for body in bodies:
+        if gap > ROUNDED and isinstance(part, planners.ControllerPoints) and body in part.carried:
+            raise InputError(
+                f"--attach {body}: expected a part that begins where the robot is when the message attaches the body, "
+                f"found a gap of {gap:.3g}, so the pose of the body in the link is unknown"
+            )
 
 
 def _carry(

@@ -34,6 +34,9 @@ MOST_BYTES = 2**28
 # Allowed distance of each value from the first point when a trajectory starts [rad or m]: MoveIt's default.
 START_TOLERANCE = 0.01
 
+# The same for a robot that holds a body, whose pose in the link would otherwise be wrong by as much.
+HELD_TOLERANCE = 1e-9
+
 # Allowed rounding errors: the difference between the times of the joints and of a base [s]; the deviation of a planar
 # motion from its plane [m, or a cosine]; and the deviation of a quaternion's norm from 1, in files with few digits.
 SAME_TIME, IN_PLANE, NORMS = 1e-9, 1e-6, 1e-2
@@ -370,15 +373,20 @@ class ControllerPoints:
     ) -> ControllerPoints:
         """Add columns for the values of a robot that the points do not name; these values do not change.
 
-        The added values come from `others` or, without `others`, from the message and the robot's defaults.
+        The added values come from `others` or, without `others`, from the message and the robot's defaults. A value
+        with which an earlier part of the message ended comes before `others`.
         """
         if robot is None or self.names is None:
             return self
         missing = [k for k, name in enumerate(robot.configuration_names) if name not in self.names]
         added = [robot.configuration_names[k] for k in missing]
+        if others is not None:
+            sources, stated = self.origin.sources, stated or {}
+            stated = {name: value for name, value in stated.items() if sources[name].startswith(messages.END)}
+            others = np.array([stated.get(name, x) for name, x in zip(robot.configuration_names, others, strict=True)])
         q = robot.configuration(stated) if others is None else others
         points = self._beside(np.tile(q[missing], (len(self.times), 1)), added)
-        used = {name: stated[name] for name in added if name in stated} if others is None and stated else {}
+        used = {name: stated[name] for name in added if name in stated} if stated else {}
         assumed = tuple(name for name in added if name not in used) if others is None else ()
         points.origin = replace(self.origin, stated=used, assumed=assumed)
         return points
@@ -553,13 +561,16 @@ def _expect_begin(part: messages.Part, name: str) -> None:
         return
     first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))
     stated = {joint: value for joint, value in part.start.joints.items() if joint in first}
-    away = [joint for joint, value in stated.items() if not abs(value - first[joint]) <= START_TOLERANCE]
+    held = sorted(part.start.carried)
+    tolerance = HELD_TOLERANCE if held else START_TOLERANCE
+    away = [joint for joint, value in stated.items() if not abs(value - first[joint]) <= tolerance]
     if away:
         states = ", ".join(f"{joint} = {stated[joint]:g}" for joint in away)
         start = ", ".join(f"{joint} = {first[joint]:g}" for joint in away)
         warn(
             f"{name}: the start state has {states}, and the first point {start}; the trajectory does not "
             "contain the way between them"
+            + (f", on which the robot holds {some(held)} as in the start state" if held else "")
         )
 
 

@@ -99,6 +99,9 @@ CARRIED = ("link_name", "object", "touch_links", "detach_posture", "weight")
 TREE = ("header", "origin", "octomap", "binary", "id", "resolution", "data")
 TOLERANCE = ("name", "joint_name", "component", "position", "velocity", "acceleration")
 
+# How the source of a value begins with which an earlier part of the message ended.
+END = "the end of "
+
 # Keys of a duration's seconds and nanoseconds, in ROS 2 and in ROS 1. A number of seconds that exceeds a day is
 # probably in nanoseconds.
 HALVES = (("sec", "nanosec"), ("secs", "nsecs"))
@@ -273,10 +276,10 @@ def _add_part(node: Node, given: dict[str, Node], found: Message, state: State) 
     )
     if joints is not None:
         state.joints.update(zip(joints.names, joints.rows["positions"][-1].tolist(), strict=True))
-        state.sources.update(dict.fromkeys(joints.names, f"the end of {found.parts[-1].place}"))
+        state.sources.update(dict.fromkeys(joints.names, f"{END}{found.parts[-1].place}"))
     if placed is not None:
         state.places.update(zip(placed.names, placed.rows["transforms"][-1], strict=True))
-        state.sources.update(dict.fromkeys(placed.names, f"the end of {found.parts[-1].place}"))
+        state.sources.update(dict.fromkeys(placed.names, f"{END}{found.parts[-1].place}"))
 
 
 def _motion(node: Node | None, name: str) -> Motion | None:

@@ -694,14 +694,16 @@ class Scene:
         path = path_of(*((times, poses) if twist is None else with_twist(times, poses, twist)), repeat)
         with _CHANGING:
             before = self._following.get(self._known(name))
-            rested = before is not None and before.rests and name in self._bounds
+            was_bounded = name in self._bounds
+            rested = before is not None and before.rests and was_bounded
             if before is None:
                 self._poses.pop(self._placed(name))
             self._following[name] = path
             body = self._bodies[name]
             first = float(path.times[0]) if begin is None else begin
             self._set_bounds(name, _bounds_of(body, off, rates, first))
-            self._structure_version += before is None or rested != (path.rests and name in self._bounds)
+            bounded = name in self._bounds
+            self._structure_version += before is None or was_bounded != bounded or rested != (path.rests and bounded)
             self._version += 1
         if not self._doubted:
             self._doubt(name, body, pose_of(np.eye(3), np.abs(path.positions).max(axis=0)))
