@@ -172,7 +172,8 @@ class ControllerPoints:
             motion of a base (a multi-DOF trajectory) is read for a floating or planar joint of this robot.
         others : array_like, shape (dof,), optional
             A configuration of the robot with the values for the added columns. Default: the message's start state, and
-            `Robot.configuration()` for all other values.
+            `Robot.configuration()` for all other values. A joint that an earlier trajectory of the message has moved
+            keeps its last value in either case.
 
         Returns
         -------
