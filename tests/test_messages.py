@@ -464,6 +464,20 @@ def test_a_body_that_a_message_attaches_is_not_grasped_across_a_gap(written, cap
     assert "found a gap of 0.005, so the pose of the body in the link is unknown" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("off", "held", "warns"), [(0.008, True, 1), (0.008, False, 0), (0.0, True, 0)])
+def test_a_start_state_that_is_off_is_reported_if_the_robot_holds_a_body(written, capsys, off, held, warns):
+    """A few millimetres shift the body in the link by as much; without a body, controllers accept them."""
+    written(CAN, "s.yaml")
+    state = {"joint_state": {"name": ["slide"], "position": [0.0]}}
+    if held:
+        state["attached_collision_objects"] = [carries("can")]
+    message = {"trajectory_start": state, "trajectory": [of_joints((0, off), (1, 0.1), names=["slide"])]}
+    words = ["--attach", "can=cart"] if held else []
+    _, _, err = audit(capsys, written(message), "--scene", "s.yaml", *words)
+    assert err.count("and the first point slide = 0.008") == warns
+    assert err.count("on which the robot holds can as in the start state") == warns
+
+
 def test_a_state_that_names_some_joints_is_reported(written, capsys):
     """The others are taken as 0, which may not be where they are."""
     written(

@@ -550,9 +550,13 @@ def _expect_upright(joint: str, robot: Robot) -> None:
 
 def _expect_begin(part: messages.Part, name: str) -> None:
     """Warn if a trajectory does not begin at the message's start state."""
+    held = sorted(part.start.carried)
+    tolerance = HELD_TOLERANCE if held else START_TOLERANCE
     if part.placed is not None:
         begin = dict(zip(part.placed.names, part.placed.rows["transforms"][0], strict=True))
-        far = [joint for joint, T in part.start.places.items() if joint in begin and _is_far(T, begin[joint])]
+        far = [
+            joint for joint, T in part.start.places.items() if joint in begin and _is_far(T, begin[joint], tolerance)
+        ]
         if far:
             warn(
                 f"{name}: {part.place} does not begin where the message has left {some(far)}; it does not contain the "
@@ -562,8 +566,6 @@ def _expect_begin(part: messages.Part, name: str) -> None:
         return
     first = dict(zip(part.joints.names, part.joints.rows["positions"][0].tolist(), strict=True))
     stated = {joint: value for joint, value in part.start.joints.items() if joint in first}
-    held = sorted(part.start.carried)
-    tolerance = HELD_TOLERANCE if held else START_TOLERANCE
     away = [joint for joint, value in stated.items() if not abs(value - first[joint]) <= tolerance]
     if away:
         states = ", ".join(f"{joint} = {stated[joint]:g}" for joint in away)
@@ -575,10 +577,10 @@ def _expect_begin(part: messages.Part, name: str) -> None:
         )
 
 
-def _is_far(T: Floats, other: Floats) -> bool:
-    """Return whether two poses, given as positions and quaternions, differ."""
+def _is_far(T: Floats, other: Floats, tolerance: float) -> bool:
+    """Return whether two poses, given as positions and quaternions, differ by more than the tolerance [m, rad]."""
     turned = 1 - abs(float(np.dot(T[3:], other[3:]) / (np.linalg.norm(T[3:]) * np.linalg.norm(other[3:]))))
-    return not (np.abs(T[:3] - other[:3]).max() <= START_TOLERANCE and turned <= START_TOLERANCE**2)
+    return not (np.abs(T[:3] - other[:3]).max() <= tolerance and turned <= tolerance**2 + 1e-15)  # and roundings
 
 
 def _stated(
