@@ -470,14 +470,21 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
 
 
 def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
-    """Order the entries for a process: two processes share each group, one from its beginning and one from its end.
+    """Order the entries for a process: two processes share the first group, from its beginning and from its end.
 
     The second process also takes the other groups in reverse order, so that both processes meet as late as possible.
+    Each further process begins at another group. Processes that need the same functions at the same time would wait for
+    each other.
     """
-    early = [group for group in groups if group not in later]
-    first = early.pop(number // 2 % len(early))
     step = -1 if number % 2 else 1
-    return [name for group in [first, *early[::step], *later[::step]] for name in groups[group][::step]]
+    if number < 2:
+        first, *early = (group for group in groups if group not in later)
+        order = [first, *early[::step], *later[::step]]
+    else:
+        at = number % len(groups)
+        backwards = list(groups)[::-1]
+        order = backwards[at:] + backwards[:at]
+    return [name for group in order for name in groups[group][::step]]
 
 
 def is_mine(to: Path) -> bool:
@@ -508,3 +515,4 @@ def main(folder: Path, level: str, number: str, nice: str = "0", *later: str) ->
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]), *sys.argv[2:]) if sys.argv[1:] else check_numba()
+    os._exit(0)  # Python would take seconds to release what Numba holds; every file is complete, and all is printed.
