@@ -67,14 +67,15 @@ HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker A
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The outcome for each mesh of a call of `fit`; each dict is in the order of the call's `paths`.
+    """The outcome for each mesh in a call to `fit`; each dict is in the order of the call's `paths`.
 
     Attributes
     ----------
     done : dict of Path to Path
         For each mesh whose body this call made: the file of the body.
     skipped : dict of Path to Path
-        For each mesh whose body already existed, made from the same mesh with the same options: the file of the body.
+        For each mesh whose body already existed and had been made from the same mesh file with the same options: the
+        file of the body.
     failed : dict of Path to str
         For each remaining mesh: the reason for the failure.
     warned : dict of Path to tuple of str
@@ -114,7 +115,7 @@ def fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Fitted:
-    """Fit many mesh files on the workers of a cluster, each as by `Body.from_mesh`, and save the bodies.
+    """Fit many mesh files as `Body.from_mesh` does, on the workers of a cluster, and save the bodies.
 
     Parameters
     ----------

@@ -111,7 +111,8 @@ class Convention(NamedTuple):
         Two parts of a sentence: `about` names the parts of answers, in the plural, and `reading` names the convention.
     wrong, right, spoilt : int
         Numbers of parts. `wrong` counts the parts that are wrong as given. `right` counts the parts that are wrong as
-        given but right in the convention, and `spoilt` the parts that are right as given but wrong in the convention.
+        given but right in the convention. `spoilt` counts the parts that are right as given but wrong in the
+        convention.
     """
 
     about: str
@@ -142,8 +143,8 @@ class Judgement(_validate.Brief):
     Attributes
     ----------
     kinds : ndarray of int8, shape (..., 7)
-        A `Finding` for each part of each answer. The parts are colliding, distance, depth, witness_a, witness_b,
-        witnesses (their distance from each other) and normal.
+        A `Finding` for each part of each answer. In order, the parts are named colliding, distance, depth, witness_a,
+        witness_b, witnesses (their distance from each other) and normal.
     excess : ndarray, shape (..., 7)
         A lower bound on the error of each part that is proven wrong, in metres; 0 for all other parts.
     lower, upper : ndarray, shape (...)
@@ -174,7 +175,7 @@ class Judgement(_validate.Brief):
     def hints(self) -> tuple[str, ...]:
         """Sentences about different conventions, such as reversed normals, that explain (nearly) all errors.
 
-        The sentences are guesses from counts, and change no finding.
+        The sentences are guesses based on counts, and do not change the findings.
 
         Examples
         --------
@@ -193,7 +194,7 @@ class Judgement(_validate.Brief):
         return np.asarray((self.kinds > Finding.UNDECIDED).any(axis=-1))
 
     def counts(self) -> dict[Finding, int]:
-        """Count the parts of answers by finding; parts that are not given do not count.
+        """Count the parts of answers with each finding, except the parts that are not given.
 
         Returns
         -------

@@ -291,8 +291,8 @@ class Body(_Bodies):
             The largest distance by which the pieces may stick out of the mesh, in metres. With a tolerance, the mesh is
             cut along planes, without CoACD. The cutting ends when no piece sticks out farther than the tolerance, or
             when there are `max_pieces` pieces. If a piece still sticks out farther, a warning gives the distance. A
-            mesh with holes is always cut along planes. Its default tolerance is 2 % of the diagonal of the bounding
-            box, or more if 2 % would take too much work.
+            mesh with holes is always cut along planes. For such a mesh, the default tolerance is 2 % of the diagonal of
+            the bounding box, or more if 2 % would take too much work.
         threshold : float
             CoACD's bound on concavity, from 0.01 to 1; used only for meshes without holes. A smaller bound gives more
             pieces and a closer fit.
@@ -550,7 +550,7 @@ class Body(_Bodies):
         ------
         InputError
             If the shape is wrong, if entries are not finite (remove the invalid points of a depth image first), or if
-            not exactly one of `radius` and `voxel` is given.
+            both or neither of `radius` and `voxel` are given.
         GeometryError
             If there are no points.
 
@@ -596,9 +596,9 @@ class Body(_Bodies):
             The robot's configuration when the image was taken.
         clear : float
             Points within this distance of the robot, in metres, are left out; without a checker, `clear` has no effect.
-            To leave out all points on the robot, the distance must exceed the camera's noise plus the error of the
-            robot's pose. To keep the robot from colliding with the body, the distance must also exceed the margin plus
-            the radius or the voxel's diagonal.
+            If no point on the robot is to remain, the distance must exceed the camera's noise plus the error of the
+            robot's pose. If the robot must not collide with the body, the distance must also exceed the sum of the
+            margin and the radius (or the voxel's diagonal).
 
         Raises
         ------
@@ -707,8 +707,8 @@ class Body(_Bodies):
             Distance between neighbouring heights along x and y, in metres.
         base : float, optional
             Height of the flat underside, in metres; it must be below all `heights`. The default is the lowest height
-            minus the length of the grid's longer side. With this thickness, a body that sinks into the terrain from
-            above does not come out below unnoticed.
+            minus the length of the grid's longer side. The terrain is then so thick that a body that sinks into it is
+            noticed before it comes out below.
 
         Raises
         ------
@@ -739,8 +739,8 @@ class Body(_Bodies):
         Parameters
         ----------
         normal : array_like, shape (3,)
-            The outward normal, of any nonzero length. With n, the normal scaled to length 1, the body lies in {x : n ·
-            x <= offset}.
+            The outward normal, of any nonzero length. The body lies in {x : n · x <= offset}, where n is the normal
+            scaled to length 1.
         offset : float
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
@@ -911,10 +911,10 @@ class Body(_Bodies):
         model : Body
             Balls, capsules, boxes, ellipsoids or other convex pieces, in the same frame as the body.
         tolerance : float, optional
-            The proof divides the body into cells, and halves each cell that no single element contains, until the cell
-            is as small as this tolerance, in metres. The default is 1e-4 of the body's diagonal. Holes of any size
-            prevent the outcome "covered": for a hole smaller than the tolerance, the outcome is "undecided" or
-            "uncovered".
+            A length in metres. The proof divides the body into cells, and halves each cell that no single element
+            contains, unless the cell is already as small as the tolerance. The default is 1e-4 of the body's diagonal.
+            Holes of any size prevent the outcome "covered": for a hole smaller than the tolerance, the outcome is
+            "undecided" or "uncovered".
         progress : callable, optional
             Called as ``progress(done, total)`` after each step.
 
@@ -982,7 +982,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If not exactly one of `n` and ``protrusion`` is given, if `n` is less than 1, or if ``protrusion`` is less
+            If both or neither of `n` and ``protrusion`` are given, if `n` is less than 1, or if ``protrusion`` is less
             than 1e-4 of the body's diagonal.
         GeometryError
             If the search finds no elements within the given limit.
@@ -1373,7 +1373,7 @@ def packed_of(bodies: Body | Bodies) -> Packed:
 
 
 def reach_of(bodies: Body | Bodies) -> float:
-    """Bound the distances from the origins of bodies to their points [m], at any pose that is accepted as rigid.
+    """Bound the distance [m] of a body's points from the body's origin, at any pose that is accepted as rigid.
 
     The radius of a surface or cloud does not count, since a rotation moves a ball no farther than its center.
     """

@@ -5,7 +5,7 @@ checked if its violation could let a kernel read past an array, loop forever, or
 tolerances for their own rounding (`DOUBT`, `ROUNDINGS`), so that a file written by any version of loewner passes.
 
 One property cannot be tested without fitting again: whether the inner ellipsoids are the largest and the outer
-ellipsoids the smallest. No verdict depends on this property. It only determines how tight the bounds are, and the last
+ellipsoids the smallest. No verdict depends on this property. It affects only the tightness of the bounds and the last
 digits of `gaps`.
 """
 
@@ -97,7 +97,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
     Raises
     ------
     InputError
-        If the arrays violate a law; the message names the array and the piece.
+        If the arrays violate a required property; the message names the array and the piece.
     """
     with np.errstate(all="ignore"):  # overflowing values are found and refused
         _check_numbers(arrays)

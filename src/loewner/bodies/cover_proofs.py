@@ -664,7 +664,7 @@ def prove(packed: Packed, model: Packed, tolerance: float | None, progress: Prog
 def first_failures(target: Target, model: Packed, protrusion: float) -> tuple[Floats, Floats]:
     """Return points of a body that a model misses, or is not proven to cover; none if the body is proven to be covered.
 
-    With each point, return the radius of a ball around the point that also belongs to the body.
+    Also return, for each point, the radius of a ball around it that lies in the body.
     """
     proof = _Proof(target, Elements(model), 0.02 * protrusion)
     whole = proof.wholes()

@@ -249,7 +249,7 @@ def save_texts(texts: dict[Path, str]) -> None:
 
 
 def enlarged(packed: Packed) -> str | None:
-    """Return the kind of the first piece whose shape URDF lacks, so that a larger polytope replaces it, or None."""
+    """Return the kind of the first piece that a larger polytope replaces because URDF lacks its shape, or None."""
     for row, frame in zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True):
         if row > columns.POLYTOPE:
             kind, semi_axes = CURVED[row], np.linalg.norm(frame[4:].reshape(3, 3), axis=0)

@@ -1,4 +1,4 @@
-"""Define the kinds of pieces; one row has all properties of a curved kind."""
+"""Define the kinds of pieces; each row of `CURVED` contains all properties of one curved kind."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Kind(NamedTuple):
     the image's semi-axes. In scene files, the sizes are separate fields, named by `size_names`, or one vector if there
     are no names. `is_ball` marks kinds whose pieces equal their inner and outer ellipsoids.
 
-    `mesh` triangulates the unit shape, with all corners on its surface. Divided by `inradii`, the mesh contains the
-    unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` fit the optimal ellipsoids. `gauge` is a
-    convex function of points whose gradient is nowhere longer than 1. The gauge is at most 1 in the unit shape, less
-    than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support function of the unit
-    shape. Covers refuse kinds without `gauge` or `support`.
+    `mesh` triangulates the unit shape, with all corners on its surface. If its coordinates are divided by `inradii`,
+    the mesh contains the unit shape; `inradii` is None if the mesh is `ball`. `inner` and `outer` fit the optimal
+    ellipsoids. `gauge` is a convex function of points whose gradient is nowhere longer than 1. The gauge is at most 1
+    in the unit shape, less than 1 at the origin, and greater than 1 outside the unit shape. `support` is the support
+    function of the unit shape. Covers refuse kinds without `gauge` or `support`.
 
     For a kind with an added ball, `gauge` and `support` are not needed, and `mesh` triangulates the unit ball. The ball
-    is added to the image of a segment or of a point. `core` is half the length of this segment, 0 for a point.
+    is added to the image of a segment or of a point. `core` is half the length of this segment, or 0 for a point.
     """
 
     name: str

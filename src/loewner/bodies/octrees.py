@@ -1,8 +1,8 @@
 """Read OctoMap octrees from binary files, as the boxes of their occupied leaves.
 
 The format is simple: a text header is followed by two bytes for each inner node, in depth-first order, with two bits
-per child. OctoMap's own reader is not used, because it recurses as deep as a file demands, so that a damaged file can
-crash the process.
+per child. OctoMap's own reader is not used: it recurses as deeply as a file demands, so a damaged file can crash the
+process.
 """
 
 from __future__ import annotations

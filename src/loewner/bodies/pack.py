@@ -34,7 +34,7 @@ from loewner.errors import GeometryError
 
 @dataclass(frozen=True, eq=False)
 class Prepared(PieceArrays):
-    """Pieces of n bodies, with derived data that takes long to compute.
+    """Pieces of n bodies, with derived data that is slow to compute.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ DRAWN = (".png", ".svg")
 
 
 def expect_suffix(path: Path | None, option: str, endings: Sequence[str]) -> None:
-    """Refuse a file of another kind before any work is done."""
+    """Refuse a file without one of the endings before any work is done."""
     if path is not None and path.suffix.lower() not in endings:
         raise FileError(f"{option}: expected a {' or '.join(endings)} file, found {path}")
 

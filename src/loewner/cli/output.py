@@ -228,7 +228,7 @@ def heading(answer: dict[str, Any]) -> str:
 
 
 def deep_line(pair: Iterable[str], nearest: float, where: str, overlap: float) -> str:
-    """Return the line about a contact that rules allow, but that is deeper than --overlap."""
+    """Return the line about a contact that the rules allow but that is deeper than --overlap."""
     return (
         f"deep      {' and '.join(pair)} overlap by {-1e3 * nearest:.3f} mm {where}, and "
         f"--overlap allows {1e3 * overlap:.6g} mm; are the poses right?"

@@ -85,7 +85,7 @@ class Ellipsoids(KeepsReadOnly):
         Raises
         ------
         GeometryError
-            If Q is not symmetric (to 1e-9 of its largest entry) and positive definite.
+            If Q is not symmetric (to 1e-9 of its largest entry) or not positive definite.
 
         Examples
         --------

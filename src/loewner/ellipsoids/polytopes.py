@@ -288,7 +288,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
-    """Make the error for half-spaces without a center; for an unbounded polytope, it names an unbounded direction."""
+    """Make the error if no center was found; for an unbounded polytope, the message names an unbounded direction."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
     if not direction.any():  # the normals do not span the space; take any vector orthogonal to them
@@ -398,7 +398,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of each array; each array has its own `start`.
+    """Many 3-D hulls, packed: hull i has rows start[i]:start[i+1] of an array, where `start` depends on the array.
 
     Attributes
     ----------

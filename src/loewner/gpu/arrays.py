@@ -187,7 +187,7 @@ class DeviceArray:
 
     Examples
     --------
-    With PyTorch, and a GPU:
+    With PyTorch and a GPU:
 
     >>> torch.from_dlpack(loewner.gpu.classify(body, T, other, None))  # doctest: +SKIP
     tensor([0, 1, 2], device='cuda:0', dtype=torch.int8)

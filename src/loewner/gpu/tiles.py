@@ -22,7 +22,7 @@ SURVIVORS = 32
 
 
 class Tile(NamedTuple):
-    """The kernels' output for up to `most` configurations; `shape` has the numbers of links and moving bodies."""
+    """The kernels' output for up to `most` configurations; `shape` gives the numbers of links and moving bodies."""
 
     most: int
     shape: tuple[int, int]

@@ -29,7 +29,7 @@ COVER_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Covering:
-    """How far the verdicts of a mesh's convex pieces apply to the mesh itself.
+    """To what extent verdicts about the convex pieces of a mesh apply to the mesh itself.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Covering:
         also applies to the mesh, and `max_uncovered` bounds the rounding errors.
     max_uncovered : float
         Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
-        If the ``margin`` of a query is at least the sum of this bound over both bodies, FREE applies to the surfaces of
+        If the ``margin`` of a query is at least the sum of the bounds of both bodies, FREE applies to the surfaces of
         both meshes, even if `exact` is false.
     excess_volume : float
         Sum of the pieces' volumes divided by the mesh's volume, minus 1. The value measures how much the pieces stick
@@ -214,7 +214,8 @@ def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
 def distances_from(points: Floats, hull: Polytope, slack: float) -> Floats:
     """Compute the distance from points to a convex piece, 0 inside.
 
-    The nearest point lies on a face that is visible from the point; `slack` keeps rounding from hiding such a face.
+    The nearest point of the piece lies on a face that is visible from the given point; `slack` prevents rounding from
+    hiding such a face.
     """
     distance = np.zeros(len(points))
     for some in slices(len(points), 500_000 // len(hull.simplices)):

@@ -2,8 +2,8 @@
 
 `run` performs the experiment and returns an `Experiment`; `tables.rows` formats its tables as text. The modules follow
 the paper's order: `dataset`, `fitting`, `detectors`, `results`, `tables`, `sheets`, `figures`, `report`, `experiment`.
-The library itself uses other methods than the paper. For comparison, the paper's methods are in `estimates` (f, section
-4), `overlap` (appendix A) and `lifted_mvie` (appendix B).
+The methods of the library itself differ from the paper's. For comparison, the paper's methods are in `estimates` (f,
+section 4), `overlap` (appendix A) and `lifted_mvie` (appendix B).
 """
 
 from loewner.paper import tables

@@ -1,4 +1,4 @@
-"""Plan for mobile bases: search a lattice of poses whose arcs are proven, connect it to the goal, and shorten the path.
+"""Plan for mobile bases: search a lattice whose arcs are proven free, connect it to the goal, and shorten the path.
 
 The search is A* over cells of position and heading (hybrid A*: Dolgov et al., IJRR 2010). The estimated cost of a pose
 is its distance from the goal on a grid of the map. The grid lengthens distances in cells that are blocked at all tried
@@ -112,7 +112,7 @@ class Base:
     upper: Floats
 
     def ways(self, a: Floats, b: Floats) -> Ways:
-        """Return the ways from poses a to poses b that the base could drive without obstacles."""
+        """Return the ways from poses a to poses b that the base could drive if there were no obstacles."""
         if self.kind == "car":
             return steering.car(a, b, self.radius, self.reverse)
         return steering.differential(a, b, self.reverse)
@@ -493,7 +493,7 @@ class Grid:
 
     @classmethod
     def of(cls, base: Base, goal: Floats) -> Grid:
-        """Compute distances over the eight neighbours of each cell. Blocked cells are `BLOCKED` times as long."""
+        """Compute distances over the eight neighbours of each cell; `BLOCKED` multiplies distances in blocked cells."""
         from scipy.sparse import csr_matrix  # not needed to plan for arms, nor to build the library
         from scipy.sparse.csgraph import dijkstra
 

@@ -35,14 +35,14 @@ class Clearing:
     """The cost of a path near obstacles.
 
     The cost of a motion is the integral of its weighted length times 1 + 9 (1 - d / wanted)². Here, d is the robot's
-    distance from the nearest unattached body of the scene, or `wanted` if that is smaller. The integral is computed by
-    the trapezoidal rule.
+    distance from the nearest unattached body of the scene, but at most `wanted`. The integral is computed by the
+    trapezoidal rule.
 
     Attributes
     ----------
     judge : Judge
     ready : Problem
-        The pairs of a body that the robot moves and another body.
+        The pairs of two bodies, one that the robot moves and one that it does not move.
     weights : ndarray, shape (dof,)
     wanted : float
         The wanted distance, in metres.
@@ -73,9 +73,10 @@ class Clearing:
         return float(np.min(distances.nearest(self.ready, Q, True, False).distance))
 
     def cleared(self, space: Space, path: Floats, most: int, deadline: float) -> tuple[Floats, int]:
-        """Move a free path away from obstacles. Return the cheaper one of both paths, and the number of rounds.
+        """Move a free path away from obstacles; also return the number of rounds.
 
-        Points move for three quarters of the available time; the clock is checked between rounds.
+        The result is the moved path if it is free and cheaper, and otherwise `path`. Points move for three quarters of
+        the available time; the clock is checked between rounds.
         """
         if self.cost_of(path) <= self._lengths(path[:-1], path[1:]).sum() * (1.0 + TOLERATED):
             return path, 0

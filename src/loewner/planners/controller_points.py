@@ -86,8 +86,8 @@ class Origin:
 class ControllerPoints:
     """Timed points that a joint trajectory controller, such as ros2_control's, interpolates.
 
-    The controller interpolates points with positions only by straight lines, points with velocities by cubic
-    polynomials, and points with velocities and accelerations by quintic polynomials.
+    The controller uses straight lines between points that have only positions, cubic polynomials between points with
+    velocities, and quintic polynomials between points with velocities and accelerations.
 
     Parameters
     ----------
@@ -96,8 +96,7 @@ class ControllerPoints:
     positions : array_like, shape (n, dof)
         Positions in radians or metres.
     velocities, accelerations : array_like, shape (n, dof), optional
-        Velocities and accelerations at these times, in radians or metres per second and per second squared.
-        Accelerations require velocities.
+        Velocities [rad/s or m/s] and accelerations [rad/s² or m/s²] at these times. Accelerations require velocities.
     names : sequence of str, optional
         Names of the columns. By default the columns are in the order of `Robot.configuration_names`.
     start_time : float
@@ -194,8 +193,8 @@ class ControllerPoints:
         Warns
         -----
         UserWarning
-            If the message contains its own bodies of the world, which are not read. If the message names another robot.
-            If a goal lets the controller deviate from the path. If the trajectory does not begin at the message's start
+            If the message describes bodies of the world, which are not read. If the message names another robot. If a
+            goal lets the controller deviate from the path. If the trajectory does not begin at the message's start
             state.
 
         Examples
@@ -419,7 +418,7 @@ class ControllerPoints:
 
 
 def executed(points: ControllerPoints, derivatives: int) -> ControllerPoints:
-    """Return the points with positions and 0, 1 or 2 derivatives, which the given points must have."""
+    """Return the points with their positions and only the first 0, 1 or 2 derivatives, which `points` must have."""
     kept = [rate if k < derivatives else None for k, rate in enumerate((points.velocities, points.accelerations))]
     return points._with(points.positions, kept, points.names)
 

@@ -23,7 +23,7 @@ RISES = (0.02, 0.01, 0.005, 0.002)
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """The start and goals of a path, and a free configuration near each one that is in contact.
+    """The start and goals of a path, and a free configuration near each of them that is in contact.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Read and write ROS messages with trajectories. Each field is used, ignored, mentioned in a warning, or refused.
 
 A message is read according to the types of its fields. A key that a message's type does not have is an error. Thus,
-nothing that affects a motion is overlooked, such as the joints' start state, bodies that the robot carries, or the
-motion of a base.
+nothing that affects a motion (such as the joints' start state, bodies that the robot carries, or the motion of a base)
+is overlooked.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def read(root: Node) -> Message:
     Raises
     ------
     FileError
-        If the message is not of a known type, has a key that its type does not have, or a value of the wrong kind.
+        If the message is not of a known type, has a key that its type does not have, or has a value of the wrong kind.
     """
     message, state = Message(), State()
     for each in _listed(root):

@@ -26,16 +26,16 @@ class Search:
         The name of a class of ``ompl.geometric``, such as "BITstar" or "PRM". Alternatively, a function that takes the
         ``SpaceInformation`` and returns an OMPL planner that you have set up. Default: the compiled RRT-Connect.
     certified : bool
-        Prove every motion free with `CollisionChecker.certify_edges`. Otherwise, sample motions in steps.
+        If true, prove every motion free with `CollisionChecker.certify_edges`; otherwise, sample motions in steps.
     resolution : float
         Largest Euclidean distance between two successive samples of a motion that is not proven, in the units of the
         joints. OMPL planners that divide motions themselves always use this resolution.
     max_iterations : int, optional
-        Largest number of random configurations that the compiled planner tries or, for a drive, largest number of poses
-        from which the search continues. Default: no limit. The search then ends at the timeout.
+        Maximum number of random configurations that the compiled planner tries or, for a drive, of poses from which the
+        search continues. Default: no limit except the timeout.
     timeout : float
-        Time limit of the search, in seconds, to which the time for simplifying is added. OMPL planners that seek a
-        shortest path always use all of this time.
+        Time limit of the search, in seconds. OMPL planners that seek a shortest path always use all of this time.
+        Simplifying takes additional time.
     simplify : bool
         Shorten the path. Paths of OMPL planners are also smoothed by OMPL's path simplifier.
 

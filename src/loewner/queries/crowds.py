@@ -1,4 +1,4 @@
-"""Find the pairs that meet among many bodies, and their depths: first by boxes, and then by a verdict for each pair."""
+"""Find the pairs that meet among many bodies, first by boxes and then by verdicts, and compute their depths."""
 
 from __future__ import annotations
 

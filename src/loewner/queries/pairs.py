@@ -369,9 +369,9 @@ def classify(
         Distance in metres that the bodies have to keep. FREE means that the distance of the bodies exceeds `margin`,
         and COLLIDING means that it does not.
     pairs : array_like of int, shape (..., 2), optional
-        Pairs to compare, each a row of a and a row of b, instead of broadcasting. Row i of a is body i at pose i; a
-        single body or a single pose serves all rows. Bodies and poses are not copied. To compare each of n bodies with
-        each of m bodies, pass ``np.indices((n, m)).T``; the result has shape (m, n).
+        Pairs to compare, each as a row of a and a row of b; without this argument, bodies and poses broadcast. Row i of
+        a is body i at pose i; a single body or a single pose serves all rows. Bodies and poses are not copied. To
+        compare each of n bodies with each of m bodies, pass ``np.indices((n, m)).T``; the result has shape (m, n).
 
     Returns
     -------
@@ -469,8 +469,8 @@ def collide(
     -------
     bool, or ndarray of bool, shape (...)
         Touching counts as colliding. With "exact", False is proven. True is proven up to rounding (docs/certified.md):
-        bodies that are apart by less than about 1e-12 of the lengths involved may count as touching, possibly in only
-        one order of the bodies.
+        bodies that are apart by less than about 1e-12 of the lengths involved may count as touching, possibly only if
+        they are passed in one of the two orders.
 
     Raises
     ------

@@ -403,10 +403,10 @@ class CollisionChecker:
             Times in seconds at which the motions begin and end, broadcast with the motions; required if bodies of the
             scene follow motions (`Scene.follow`). A motion reaches its fraction f at time t0 + f (t1 - t0).
         steps : int, optional
-            Largest number of steps of work for each motion. A step places a configuration, compares two bodies or
-            pieces, runs a search, or opens a box of a tree. A motion that needs more steps is AMBIGUOUS, with the
-            fraction and the pair at which its proof stopped. docs/certified.md, "Bounded work", gives the time of a
-            step. Default: no limit.
+            Maximum number of steps spent on each motion. A step places a configuration, compares two bodies or pieces,
+            runs a search, or opens a box of a tree. A motion that needs more steps is AMBIGUOUS, with the fraction and
+            the pair at which its proof stopped. docs/certified.md, "Bounded work", gives the time of a step. Default:
+            no limit.
         proof : bool
             If all motions are free, also write a `Proof`, with the motions in the order of the flattened batch. Such a
             proof requires that all joints turn or slide, and that no bodies follow motions. The proof states where
@@ -537,7 +537,7 @@ class CollisionChecker:
             Default: the `start_time` of a `planners.Trajectory` or of `planners.ControllerPoints`, and 0 for other
             curves.
         steps : int, optional
-            Largest number of steps of work for each curve, as for `certify_edges`. The segments of a curve share this
+            Maximum number of steps spent on each curve, as for `certify_edges`. The segments of a curve share this
             limit: when it is used up, the remaining segments are AMBIGUOUS.
         proof : bool
             Also write a `Proof` of each free curve, as for `certify_edges`.
@@ -558,12 +558,13 @@ class CollisionChecker:
 
         Notes
         -----
-        Each polynomial piece is divided into intervals, and on each interval a plane separates two bodies. The proof
-        uses bounds on the first and second derivatives; docs/certified.md derives these bounds.
+        For each pair, each polynomial piece is divided into intervals, and on each interval a plane separates the two
+        bodies. The proof uses bounds on the first and second derivatives; docs/certified.md derives these bounds.
 
         Pairs named by `Scene.leave` may be in contact where the curve begins, and pairs named by `Scene.reach` where it
-        ends, as for `certify_edges`. The ends of single segments do not count as ends of the curve. A segment is FREE
-        if it is proven free, except for the contact that these rules allow. With a joint error, contact is not allowed.
+        ends, as for `certify_edges`. The ends of individual segments do not count as ends of the curve. A segment is
+        FREE if it is proven free, except for the contact that these rules allow. With a joint error, contact is not
+        allowed.
 
         Examples
         --------
@@ -741,13 +742,14 @@ class CollisionChecker:
         Notes
         -----
         The gap between two ellipsoids is the distance between their supporting planes perpendicular to their contact
-        normal, n·r (1 - 1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. This gap is at most the
-        ellipsoids' signed distance, and analytic except where centers coincide. The result is -softness log Σ exp(-g /
-        softness) over the gaps g between the outer ellipsoids of all pairs of pieces, minus a bound on rounding. Each
-        static surface or cloud contributes up to 128 ellipsoids around its parts, unless it is a solid. Near a large
-        cube, such as a `Body.half_space`, the result is always negative, so use a thin box as a floor. Where the
-        centers of two ellipsoids coincide, the pair contributes nothing to the gradient; where they nearly coincide,
-        the gradient is finite but may be huge. The derivative with respect to a quaternion is as in `distance`.
+        normal, n·r (1 - 1/√F) / ‖n‖, with the normal n, the vector r between the centers, and the contact function F of
+        Perram and Wertheim. This gap is at most the ellipsoids' signed distance, and analytic except where centers
+        coincide. The result is -softness log Σ exp(-g / softness) over the gaps g between the outer ellipsoids of all
+        pairs of pieces, minus a bound on rounding. Each static surface or cloud contributes up to 128 ellipsoids around
+        its parts, unless it is a solid. Near a large cube, such as a `Body.half_space`, the result is always negative,
+        so use a thin box as a floor. Where the centers of two ellipsoids coincide, the pair contributes nothing to the
+        gradient; where they nearly coincide, the gradient is finite but may be huge. The derivative with respect to a
+        quaternion is as in `distance`.
 
         Examples
         --------

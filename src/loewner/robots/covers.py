@@ -70,7 +70,10 @@ def cover(self: Robot, kind: Kind, *, n: int | None, protrusion: float | None, p
 
 
 def with_bodies(robot: Robot, bodies: Mapping[str, Body], ignored: frozenset[Pair] | None = None) -> Robot:
-    """Return the robot with other bodies. If given, `ignored` replaces its disabled pairs and its rules about pairs."""
+    """Return the robot with other bodies.
+
+    If given, `ignored` replaces the robot's disabled pairs and rules about pairs.
+    """
     variant = replace(robot, bodies=Named("link with a body", bodies), shapes=Named("link with shapes of a URDF", {}))
     return variant if ignored is None else replace(variant, disabled_pairs=ignored, _ruled=True)
 

@@ -152,7 +152,8 @@ def compiled_model(model: Any, data: Any, file: Path, tol: float, *, couplings: 
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData, optional
-        Supplies the poses of mocap bodies, and which constraints are active; by default, the model supplies both.
+        Supplies the poses of mocap bodies, and determines which constraints are active; by default, the model does
+        both.
     file : Path
         The file's path, for messages and names.
     tol : float

@@ -85,8 +85,8 @@ def show_robot(
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Two or more configurations of this robot. The page gets a time slider, a button to play the path, a bar that
         shows where samples of the path collide, and a bar that shows where the path is proven free. If bodies of the
-        scene follow motions, slider, button and bars also appear without a path. A path without times is played at a
-        speed of 1 rad/s or 1 m/s, as measured by `Robot.distances`.
+        scene follow motions, the slider, the button and the bars also appear without a path. A path without times is
+        played at a speed of 1 rad/s or 1 m/s, as measured by `Robot.distances`.
     trajectory : planners.Trajectory, planners.ControllerPoints, or a SciPy curve, optional
         A trajectory to play, as for `CollisionChecker.certify_trajectory`. Give either `trajectory` or `path`.
     host, port, block
@@ -134,7 +134,7 @@ class _Shown:
 
 
 class RobotViewer(Viewer):
-    """A page for a robot in a scene, which `show_robot` made.
+    """A page, made by `show_robot`, for a robot in a scene.
 
     Changes that Python code makes to the scene appear within a tenth of a second, or immediately after `refresh`.
 
@@ -271,7 +271,7 @@ class RobotViewer(Viewer):
     def go_to_worst(self) -> float:
         """Move the robot to the moment at which the distance of the nearest pair is smallest.
 
-        For a path without times, this is the smallest distance among 401 moments and all moments at which proofs ended.
+        For a path without times, the distances at 401 moments, and at all moments at which proofs ended, are compared.
 
         Returns
         -------

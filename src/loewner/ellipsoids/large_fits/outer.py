@@ -8,8 +8,8 @@ wherever u > 0.
   the point with the largest w or from the point with the smallest w, depending on which w is farther from N. Each step
   updates M⁻¹ and w by a term of rank one.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
-  2007, doi:10.1016/j.spl.2006.05.014), and is dropped. A less cautious bound is tried first, and all points are tested
-  later.
+  2007, doi:10.1016/j.spl.2006.05.014), and is dropped. The first rounds use a less cautious bound, so all points are
+  tested again at the end.
 - On the remaining points, Newton's method solves u s = 0, s = N - w. The method's matrix diag(s/u) + (W Wᵀ)∘(W Wᵀ) has
   a row for each point, not for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 
@@ -85,7 +85,7 @@ def smallest_around(
 ) -> tuple[Floats, Floats, float, int, Floats]:
     """Find the smallest ellipsoid around `points`: center, lower triangular factor, certified gap, steps, weights.
 
-    The center is free, or `given`. The gap may be above `tol`, or infinite.
+    The center is `given`, or free if `given` is None. The gap may be above `tol`, or infinite.
 
     Raises
     ------

@@ -73,9 +73,9 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callable[[int], str]) -> Triangles:
     """Cut polygons into triangles, in order: a fan about the first corner, unless the fan leaves the polygon.
 
-    The triangles of a polygon have the polygon's boundary and all face the same side. The triangles therefore form the
-    polygon and cover each of its points once, however they were found. A polygon for which no such triangles are found
-    keeps its fan, whose triangles contain the polygon.
+    The triangles of a polygon together have the boundary of the polygon, and all face the same side. The triangles
+    therefore form the polygon and cover each of its points once, however they were found. A polygon for which no such
+    triangles are found keeps its fan, whose triangles contain the polygon.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def cut(vertices: Floats, corners: Ints, sizes: Ints, tell: Tell, place: Callabl
     corners, sizes : ndarray of int
         The corners of all polygons, concatenated, and the number of corners of each.
     place : callable
-        Returns the place in the file of the polygon with a given number.
+        Called with the number of a polygon; returns the polygon's place in the file.
     """
     triangles = fans(corners, sizes)
     if sizes.max(initial=3) == 3:

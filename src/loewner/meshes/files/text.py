@@ -62,7 +62,7 @@ def table_of(lines: list[list[bytes]], numbers: list[int], width: int, wanted: s
 
 
 def refuse_line(lines: list[list[bytes]], numbers: list[int]) -> None:
-    """Refuse the first line, if any, that has a word that is not a number."""
+    """Refuse the first line, if any, with a word that is not a number."""
     for line, number in zip(lines, numbers, strict=True):
         in_line(number, floats, line)
 

@@ -114,5 +114,5 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def flat(Q: Floats) -> Floats:
-    """Flatten configurations to rows. For a robot without joints, NumPy could not infer the number of rows."""
+    """Flatten configurations to rows. (NumPy cannot infer the number of rows if there are no joints.)"""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

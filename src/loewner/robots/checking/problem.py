@@ -63,7 +63,7 @@ class Problem:
     Attributes
     ----------
     robot : Robot
-        The robot. Its own joints are followed by a floating joint for each body that follows a motion.
+        The robot. After its own joints, it has a floating joint for each body that follows a motion.
     version, structure_version : int
         Versions of the scene's state.
     names : tuple of str
@@ -158,7 +158,7 @@ class Problem:
     def with_pairs(
         self, pairs: Ints, margins: Floats, leaving: Bools | None = None, reaching: Bools | None = None, **changes: Any
     ) -> Problem:
-        """Set other pairs and, on request, other attributes."""
+        """Return the problem with other pairs and, on request, other attributes."""
         problem = Problem.of(
             self.robot, (self.version, self.structure_version), self.names, self.packs, self.link, pairs, margins,
             leaving, reaching, self,
@@ -396,7 +396,7 @@ class Problem:
         return self.with_pairs(self.pairs, margins, self.leaving, self.reaching)
 
     def off_at(self, t: float) -> Floats:
-        """Bound the sum of the position errors of each pair's moving bodies at a time [m], shape (pairs,)."""
+        """Bound the sum [m] of the position errors of each pair's moving bodies at a time, shape (pairs,)."""
         if self.paths is None or not self.paths.bounds:
             return np.zeros(len(self.pairs))
         at = np.array([t])

@@ -1,4 +1,7 @@
-"""Compute verdicts for configurations and sampled motions. The checker, not this module, raises for AMBIGUOUS."""
+"""Compute verdicts for configurations and sampled motions.
+
+The checker, not this module, raises an error for AMBIGUOUS.
+"""
 
 from __future__ import annotations
 
@@ -227,7 +230,7 @@ def collisions_by_pair(ready: Problem, Q: Floats, t: Floats | None = None) -> Bo
 
 
 def always(ready: Problem, Q: Floats) -> Bools:
-    """Return which pairs collide at all given configurations, shape (pairs,); unsettled pairs do not count."""
+    """Return which pairs collide at every given configuration, shape (pairs,); unsettled pairs do not count."""
     colliding = np.ones(len(ready.pairs), dtype=bool)
     for _, poses in ready.poses_in_turn(Q):
         for T in poses:
@@ -268,7 +271,7 @@ def contacts(ready: Problem, q: Floats, t: float | None = None) -> tuple[tuple[C
 
 
 def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
-    """Compute the lengths of motions; if the last bit decides the number of steps, compute that motion alone."""
+    """Compute the lengths of motions; a length whose last bit may change the number of steps is computed separately."""
     motion_lengths = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):

@@ -137,7 +137,8 @@ def layout_of(order: Order, robot: Any, references: Mapping[str, float]) -> Layo
     order : Order
     robot : Robot
     references : mapping
-        Maps a joint to its value in the model when its value in the tree is 0. For other joints, this value is 0.
+        Maps a joint to its value in the model when its value in the tree is 0. A joint that is not listed then has the
+        value 0 in the model, too.
     """
     dof, tree = robot.dof, robot.tree
     source, factors, offsets = np.full(order.width, dof), np.zeros(order.width), np.zeros(order.width)

@@ -111,7 +111,7 @@ class _Names:
 
 
 def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None = None) -> Semantics:
-    """Read an SRDF file for a robot, or a string as if it were the contents of that file.
+    """Read an SRDF file for a robot, or a string as if it were the contents of such a file.
 
     This function reads groups, group states and the rules about pairs: ``disable_collisions``, ``enable_collisions``
     and ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and
@@ -128,9 +128,10 @@ def read_srdf(path: str | os.PathLike[str], robot: Description, text: str | None
     -----
     UserWarning
         If some of the links and joints in the SRDF do not belong to this robot (an SRDF is often shared with a larger
-        variant). If the SRDF names no link or joint of this robot, or a group that the SRDF does not contain. If the
-        SRDF is for a robot with a different name, or has parts that the format does not define. If joints are passive,
-        the base moves, a state places the base, or a state has a value for a joint outside the state's group.
+        variant). If the SRDF does not name any link or joint of this robot, or refers to a group that it does not
+        contain. If the SRDF is for a robot with a different name, or has parts that the format does not define. If
+        joints are passive, the base moves, a state places the base, or a state has a value for a joint outside the
+        state's group.
     """
     root = read_xml(path, "an SRDF", text)
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)

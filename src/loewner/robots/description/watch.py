@@ -41,7 +41,7 @@ class Watch(KeepsReadOnly):
     turns : sequence of bool
         Which entries are angles.
     free : sequence of bool
-        Which entries belong to planar and floating joints. Such entries have no limits in any unit.
+        Which entries belong to planar and floating joints. Such entries never cause a warning.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ class ProofOptions(NamedTuple):
     joint_error : ndarray, shape (dof,), optional
         How far values may deviate; FREE covers all such deviations.
     steps : int, optional
-        Largest number of steps for each motion or curve. Default: no limit.
+        Maximum number of steps spent on each motion or curve. Default: no limit.
     """
 
     tolerance: float

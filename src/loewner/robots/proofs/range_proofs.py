@@ -51,7 +51,7 @@ HALVED, LAST, NORMAL, DOUBLES = 0, 3, 16, 18
 
 
 class Claim(NamedTuple):
-    """A pair of bodies, as indices in the model; its margin; and the columns between the bodies with their ranges."""
+    """Two bodies, as indices in the model; their margin; and the columns of the joints between them, with ranges."""
 
     pair: tuple[int, int]
     margin: float
@@ -73,8 +73,8 @@ def proof_of_ranges(model: Model, ready: Problem, claims: list[Claim]) -> Proof:
     Raises
     ------
     InputError
-        If a body of a pair has a surface, a joint turns too far, there are too many values between two bodies, or the
-        file would be larger than `MOST_BYTES`.
+        If a body of a pair has a surface, a joint turns too far, there are too many joint values between two bodies, or
+        the file would be larger than `MOST_BYTES`.
     ConvergenceError
         If the bounds of the format do not suffice because a pair comes too close to its margin.
     """

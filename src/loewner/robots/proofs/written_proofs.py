@@ -1,4 +1,4 @@
-"""Proofs of motions that other programs can verify: `Proof`, and functions that make proofs."""
+"""Proofs of motions, for verification by other programs: `Proof`, and functions that make proofs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOST_BYTES, FARTHEST_TURN = 2**24, 1e6
 
 @dataclass(frozen=True, repr=False)
 class Proof:
-    """A proof that motions or ranges are free of collisions, or of the verdict about two bodies.
+    """A proof that motions or ranges are free of collisions, or a proof of the verdict about two bodies.
 
     `loewner.verify`, a program that shares no code with the rest of this library, checks such proofs.
     docs/proof-format.md describes the format.
@@ -85,7 +85,7 @@ class Proof:
 
     @property
     def model_hash(self) -> str:
-        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` needs no proof to return it."""
+        """SHA-256 of the model, in hexadecimal digits; `CollisionChecker.model_hash` returns it without a proof."""
         return hashlib.sha256(self.model).hexdigest()
 
     @property
