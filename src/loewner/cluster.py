@@ -79,8 +79,8 @@ class Fitted:
     failed : dict of Path to str
         For each remaining mesh: the reason for the failure.
     warned : dict of Path to tuple of str
-        For each mesh with warnings that was fitted or skipped: the warnings of `Body.from_mesh`, for instance about
-        holes or an unusual size.
+        For each mesh that was fitted with warnings, now or earlier: the warnings of `Body.from_mesh`, for instance
+        about holes or an unusual size.
 
     Examples
     --------

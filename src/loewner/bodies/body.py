@@ -591,7 +591,7 @@ class Body(_Bodies):
         radius, voxel : float
             As for `from_cloud`; give exactly one of the two.
         checker : CollisionChecker, optional
-            If given, `CollisionChecker.off_the_robot` removes the points on the robot and on attached bodies.
+            If a checker is given, its method `off_the_robot` removes the points on the robot and on attached bodies.
         q : array_like, shape (dof,), optional
             The robot's configuration when the image was taken.
         clear : float
@@ -745,10 +745,10 @@ class Body(_Bodies):
             Signed distance of the plane from the origin along the normal, in metres.
         extent : float
             Edge length of the cube, in metres, at most 1e9. One face of the cube lies in the plane, centered at the
-            plane's point nearest to the origin. Everything outside the cube is free, so the cube must be larger than
-            the range of the moving bodies. Contact is accurate to about 1e-12 times the extent. The ellipsoid around
-            the cube reaches beyond each face by 0.37 times the extent. For `CollisionChecker.clearance`, which uses
-            this ellipsoid, use a thin box instead.
+            plane's point nearest to the origin. Everything outside the cube is free, so the cube must extend beyond the
+            range of the moving bodies. Contact is accurate to about 1e-12 times the extent. The ellipsoid around the
+            cube reaches beyond each face by 0.37 times the extent. For `CollisionChecker.clearance`, which uses this
+            ellipsoid, use a thin box instead.
 
         Raises
         ------
@@ -1076,7 +1076,7 @@ class Body(_Bodies):
         path : path
             Any extension is allowed; the stem names both the robot and its link. The mesh files are written first; then
             the URDF is written under a temporary name and renamed. A mesh file is never overwritten with different
-            content, so that the meshes of an older URDF, or of a copy of it, do not change.
+            content, so the meshes of an older URDF, or of a copy of that URDF, do not change.
         ellipsoids : {"inner", "outer"}, optional
             Which ellipsoids to write instead of the pieces.
         mesh_prefix : str

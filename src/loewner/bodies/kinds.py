@@ -70,7 +70,7 @@ class Kind(NamedTuple):
     is_ball: bool = False
 
     def share(self, points: Floats) -> Floats:
-        """Compute a factor for each point; multiplied by the factor, the point is in the unit shape.
+        """Compute a factor for each point such that the point, multiplied by the factor, is in the unit shape.
 
         The factor follows from the gauge at the origin, the gauge at the point, and the convexity of the gauge.
         """

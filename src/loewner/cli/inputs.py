@@ -176,7 +176,7 @@ def from_mesh(
 
 
 def model(options: argparse.Namespace) -> str:
-    """Return the model of a mesh that the options select."""
+    """Return the model that the options select for a mesh."""
     if options.hull and options.model not in (None, "hull"):
         raise InputError(f"--hull: expected no other model with it, found --model {options.model}")
     of_pieces, of_surfaces = given(options, OF_PIECES), given(options, OF_SURFACES)

@@ -478,7 +478,7 @@ _BOX_TRIANGLES = np.array(
 
 
 def box_hull(half: Floats, name: str) -> Hulls:
-    """Make the hull of an axis-aligned box about the origin, equal to the result of `hulls`, but without Qhull.
+    """Make the hull of an axis-aligned box about the origin without Qhull; it equals the result of `hulls`.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def classify(
         order, from CuPy, PyTorch, JAX or any other library that supports ``__cuda_array_interface__`` or DLPack; the
         answers then hold for exactly these float32 numbers. Any other array is copied to the GPU.
     pairs : array_like of int, shape (..., 2), optional
-        Pairs of rows to compare, instead of broadcasting; see `loewner.classify`. This array must not be on the GPU.
+        Pairs of rows to compare, as in `loewner.classify`. This array must not be on the GPU.
     refine : bool
         Whether the CPU settles the pairs that single precision leaves open; for round pieces, these are about half a
         percent of all pairs. If false, such pairs, and pairs whose poses are not rigid motions, are AMBIGUOUS; a call

@@ -83,8 +83,8 @@ class CoverReport(_validate.Brief):
     ----------
     outcome : {"covered", "uncovered", "undecided"}
         "covered": each point of the body, including its interior, is proven to be in the model. "uncovered": `witness`
-        is proven to be outside the model. "undecided": neither outcome is proven, because some parts of the body,
-        divided down to the tolerance, are in no single element.
+        is proven to be outside the model. "undecided": neither outcome is proven, because some parts of the body are in
+        no single element, even though they are as small as the tolerance.
     uncovered_share : tuple of float
         Bounds on the share of the body's surface area that is outside the model. The surfaces of all pieces count, even
         where they are inside other pieces. For a curved piece, the area of an inscribed polytope with corners on the

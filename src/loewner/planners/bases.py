@@ -210,8 +210,8 @@ def plan_drive(
     Returns
     -------
     Drive
-        Arcs, straight lines and turns in place, proven FREE as a whole. The drive ends at the goal, or at a heading
-        that differs from the goal's by whole turns.
+        Arcs, straight lines and turns in place, proven FREE as a whole. The drive ends at the goal, except that its
+        heading may differ by whole turns.
 
     Raises
     ------

@@ -172,7 +172,7 @@ class ControllerPoints:
         others : array_like, shape (dof,), optional
             A configuration of the robot with the values for the added columns. Default: the message's start state, and
             `Robot.configuration()` for all other values. A joint that an earlier trajectory of the message has moved
-            keeps its last value in either case.
+            keeps its last value, even if `others` is given.
 
         Returns
         -------

@@ -440,11 +440,11 @@ class CollisionChecker:
         Notes
         -----
         Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
-        `Robot.between`. The proof takes no samples: a plane that separates two bodies proves a whole interval of the
-        motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. For surfaces and
-        clouds, the proof uses the convex hulls of a few parts. Where such a hull meets a convex piece or a hull of the
-        other body, the proof uses the triangles or points of the parts. The first call with a new surface takes longer,
-        since it computes the parts.
+        `Robot.between`. The proof takes no samples: a plane that separates two bodies is a proof for a whole interval
+        of the motion, and an interval without such a plane is halved. docs/certified.md gives the derivation. For
+        surfaces and clouds, the proof uses the convex hulls of a few parts. Where such a hull meets a convex piece or a
+        hull of the other body, the proof uses the triangles or points of the parts. The first call with a new surface
+        takes longer, since it computes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, and pairs named by `Scene.reach` at its
         end. Along the motion, a contact at the start may become deeper by at most the tolerance. A contact at the end

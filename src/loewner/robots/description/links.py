@@ -53,7 +53,8 @@ class Joint:
         Limits [rad or m]; for planar joints, the limits of x, y and the angle; for floating joints, the limits of the
         position. A "revolute" joint without limits is "continuous".
     velocity, acceleration, jerk : float, optional
-        Largest rates of a joint with one value [rad or m per s, s² and s³], above 0. By default they are unknown.
+        Largest velocity [rad/s or m/s], acceleration [rad/s² or m/s²] and jerk [rad/s³ or m/s³] of a joint with one
+        value, above 0. By default they are unknown.
     mimic : (str, float, float), optional
         The name of another joint that this joint follows, a multiplier and an offset; only for a joint with one value.
     reference : float

@@ -1,4 +1,4 @@
-"""Detect values in configurations that cannot be used in computations, or that are probably mistakes."""
+"""Detect entries of configurations whose values cannot be used in computations, or are probably mistakes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGEST_VALUE = 1e200
 
 
 class Watch(KeepsReadOnly):
-    """Find values in configurations that cannot be used in computations, and values far outside the limits.
+    """In configurations, find values that cannot be used in computations, and values far outside the limits.
 
     Parameters
     ----------

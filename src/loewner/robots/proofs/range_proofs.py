@@ -1,4 +1,4 @@
-"""Write proofs that pairs are never nearer than a margin over ranges of values; see docs/proof-format.md.
+"""Write proofs that pairs are never nearer than a margin, for ranges of joint values; see docs/proof-format.md.
 
 The box of all values of the joints between two bodies is halved until a plane separates the bodies in each part. The
 plane is perpendicular to the shortest connection between the bodies at the center of the box, and is checked at the
