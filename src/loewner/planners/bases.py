@@ -161,7 +161,7 @@ class Base:
         return free
 
     def best(self, a: Floats, b: Floats, count: int) -> tuple[Floats, Floats]:
-        """Return the cheapest ways, shape (N, count, motions, 2), and their costs, direction changes included."""
+        """Return the cheapest ways, shape (N, count, motions, 2), and their costs with direction changes."""
         ways = self.ways(a, b)
         costs, count = ways.costs, min(count, ways.lengths.shape[1])
         order = np.argpartition(costs, count - 1, axis=1)[:, :count]

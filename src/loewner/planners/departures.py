@@ -47,8 +47,8 @@ class Departures:
         Raises
         ------
         PlanningError
-            If the rules allow a contact at the start or at the only goal, but no motion was found that ends or begins
-            the contact.
+            If the rules allow a contact at the start or at the only goal, but no motion out of or into the contact was
+            found.
         """
         free_start, free_goals, ready, is_exact = start, goals, judge.ready, judge.joint_error is None
         if is_exact and ready.leaving.any():

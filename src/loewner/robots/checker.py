@@ -153,7 +153,8 @@ class CollisionChecker:
         return bodies(links + shapes, (), [(self.robot.name, LINKS[0]), *entries], note + more)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Save the robot and the scene's present state for programs in C and C++, which read it with ``loewner.h``.
+        """Save the robot and the scene's present state for programs in C and C++, which read the file with
+        ``loewner.h``.
 
         Parameters
         ----------

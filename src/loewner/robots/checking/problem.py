@@ -90,7 +90,8 @@ class Problem:
     paths : PackedPaths or None
         The motions that bodies follow; None if no body follows a motion.
     given : ndarray, shape (pairs,), or None
-        The margins without the errors of static bodies' poses, which `margins` include; None if there are no errors.
+        The margins without the errors of static bodies' poses (`margins` include the errors); None if there are no
+        errors.
     off : ndarray or None
         The errors of static bodies' poses, as `motions.settle` takes them; None if there are no errors.
     """

@@ -46,7 +46,7 @@ def prove(
     ----------
     ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
-        See `courses`; in C order and writeable.
+        As in the module `courses`; the array is in C order and writeable.
     tolerance : float
         In metres.
     off : ndarray, shape (N, dof), optional
