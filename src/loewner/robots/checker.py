@@ -153,8 +153,7 @@ class CollisionChecker:
         return bodies(links + shapes, (), [(self.robot.name, LINKS[0]), *entries], note + more)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Save the robot and the scene's present state for programs in C and C++, which read the file with
-        ``loewner.h``.
+        """Save the robot and the scene's present state in a file that C and C++ programs read with ``loewner.h``.
 
         Parameters
         ----------
