@@ -1,4 +1,4 @@
-"""Represent convex pieces by functions that are at most zero inside, and evaluate these for many points."""
+"""Represent convex pieces by functions that are at most zero inside, and evaluate the functions at many points."""
 
 from __future__ import annotations
 

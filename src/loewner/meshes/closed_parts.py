@@ -71,7 +71,10 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
 
 
 def volume(vertices: Floats, triangles: Ints) -> float:
-    """Compute a closed mesh's signed volume, by the divergence theorem about its center to reduce cancellation."""
+    """Compute a closed mesh's signed volume by the divergence theorem.
+
+    Coordinates are taken relative to the center of the mesh, to reduce cancellation.
+    """
     corners = vertices[triangles]
     a, b, c = (corners - corners.mean(axis=(0, 1))).transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)

@@ -103,7 +103,9 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal. Free configurations come first, then those nearer to `start`.
+        """Find configurations that reach the goal.
+
+        Free configurations precede colliding ones. Within each group, configurations nearer to `start` come first.
 
         Parameters
         ----------
@@ -334,8 +336,8 @@ class Approaches(NamedTuple):
         Raises
         ------
         PlanningError
-            If a line is not proven after these shifts, which are rounded, or not in the state of the scene that `judge`
-            refers to.
+            If a line is not proven free after these shifts, which are rounded, in the state of the scene to which
+            `judge` refers.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
         approach, retreat = self.rows[k], self.retreats[k]

@@ -112,8 +112,8 @@ def first_contact(
 
     References
     ----------
-    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908. For the bound
-    between two planes, see docs/certified.md.
+    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908.
+    docs/certified.md derives the bound for a step between two planes.
 
     Examples
     --------
