@@ -1,4 +1,4 @@
-"""Code that queries about pairs and configurations share: fallbacks, lists of work for the CPU, and rows of tables."""
+"""Shared code of queries about pairs and configurations: fallbacks, lists of work for the CPU, and rows of tables."""
 
 from __future__ import annotations
 

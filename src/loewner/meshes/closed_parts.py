@@ -25,7 +25,7 @@ class ClosedPart(NamedTuple):
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Triangles, counter-clockwise when seen from outside the solid. For a cavity, outside the solid means within the
+        Triangles, counter-clockwise when seen from outside the solid. For a cavity, "outside" means within the
         cavity.
     volume : float
         Enclosed volume without the cavities, in cubic metres.

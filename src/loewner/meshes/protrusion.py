@@ -187,7 +187,7 @@ def protrusions(
     relative : float
         How close the bound must come to the distance found, as a share of that distance.
     together : bool
-        Whether only the piece that sticks out most matters; the search can then end earlier.
+        Whether only the greatest protrusion of all pieces matters; the search can then end earlier.
 
     Notes
     -----

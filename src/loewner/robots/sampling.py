@@ -24,7 +24,7 @@ def pairs_by_sampling(
     known_free: ArrayLike | None = None,
     always: float = 0.95,
 ) -> dict[Pair, str]:
-    """Find pairs of links that need not be checked, as MoveIt's setup assistant does; meant for robots without an SRDF.
+    """Find pairs of links that need not be checked, as MoveIt's setup assistant does, for robots without an SRDF.
 
     Parameters
     ----------

@@ -1206,8 +1206,8 @@ class Robot(KeepsReadOnly):
 
         Shapes that stick out of links can meet although the links never do, so that a planner may find no path. Random
         configurations reveal such pairs of links. If `prove_pairs` proves that the links of a pair never collide, the
-        pair is added to `disabled_pairs`. Other pairs stay checked, and a warning lists the pairs whose shapes always
-        meet.
+        pair is added to `disabled_pairs`. Other pairs are still checked, and a warning lists the pairs whose shapes
+        always meet.
 
         Parameters
         ----------
