@@ -47,7 +47,7 @@ class SeenSpace:
     age : ndarray of int64, shape (p, q, r)
         How many images ago each cell was last seen; -1 for unknown cells.
     time : float or None
-        The time of the last image for which a time was given, in seconds.
+        The time of the last image that was passed with a time, in seconds.
 
     Raises
     ------

@@ -23,7 +23,7 @@ class Result:
     name : str
     answers : Answers
     all, ambiguous : Confusion
-        Counts over all pairs, and over the pairs that are ambiguous to this detector.
+        Counts over all pairs, and counts over the pairs that are ambiguous for this detector.
     microseconds, ambiguous_microseconds : float
         Average time of one check on one thread, over all pairs and over the ambiguous pairs; NaN if the time was not
         measured, or no pair is ambiguous.

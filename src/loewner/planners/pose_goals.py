@@ -324,7 +324,7 @@ class Approaches(NamedTuple):
     retreats: list[Floats | None]
 
     def joined(self, judge: Judge, path: Floats, goals: Floats) -> tuple[Floats, int | None, Floats | None]:
-        """Append an approach to a path. Also return the row at which the approach begins, if any, and the retreat.
+        """Append an approach to a path; also return the row at which it begins, and the retreat. Either may be None.
 
         Parameters
         ----------

@@ -86,8 +86,8 @@ def first_contact(
         pose, for a body at rest. None is the identity.
     tolerance : float
         Distance in metres by which the bodies may approach each other between `free_until` and `touching_at`. Choose at
-        least about 1e-11 times the lengths involved, or 1e-8 times for ellipsoids, cylinders and cones; with a smaller
-        tolerance, pairs are AMBIGUOUS.
+        least about 1e-11 times the lengths involved, or 1e-8 times these lengths for ellipsoids, cylinders and cones;
+        with a smaller tolerance, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 

@@ -1076,7 +1076,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         pairs : iterable of pairs of str, optional
-            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`. At
+            Names of links with bodies, or of bodies of `scene` that are attached to links of this robot or at rest. At
             least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
             or all pairs of links with bodies if neither has rules about pairs.
         margin : float
@@ -1156,8 +1156,8 @@ class Robot(KeepsReadOnly):
         ----------
         joints : str or iterable of str
             The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
-            where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box.
-            Every end of the box is at the same fraction of the way from the configuration to the value's limit.
+            where contact begins (to within 1e-9 rad or m) or at the value's limit. The range of several values is a
+            box. Every end of the box is at the same fraction of the way from the configuration to the value's limit.
         about : array_like, shape (dof,), optional
             The configuration about which the range extends; values that are not in `joints` stay fixed. Default:
             `configuration()`.
