@@ -30,7 +30,7 @@ class SeenSpace:
 
     A cell is seen if depths were measured at all pixels onto which it projects, and it lies completely in front of all
     these depths. All other cells are unknown: they are behind a surface, in the shadow of the robot, outside the image,
-    or where no depth was measured. Seen cells stay seen until `forget` is called.
+    or where no depth was measured. Seen cells count as seen until `forget` makes them unknown again.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class SeenSpace:
     age : ndarray of int64, shape (p, q, r)
         How many images ago each cell was last seen; -1 for unknown cells.
     time : float or None
-        The time of the last image for which a time was given, in seconds.
+        The time of the last image that was passed with a time, in seconds.
 
     Raises
     ------
@@ -147,7 +147,8 @@ class SeenSpace:
         Parameters
         ----------
         older_than : int
-            The largest `age` at which a cell stays seen; 0 keeps only cells that were seen in the last image.
+            The largest `age` at which a cell still counts as seen. If it is 0, only the cells that were seen in the
+            last image still count.
 
         Raises
         ------

@@ -69,7 +69,7 @@ class ConvergenceError(LoewnerError, ArithmeticError):
     Attributes
     ----------
     indices : ndarray of int
-        The flat indices of the pairs in a batch that could not be settled.
+        The flat indices, within the batch, of the pairs that could not be settled.
     partial : object or None
         The query's result, with the answers for all settled pairs. For the unsettled pairs, the result of `collide` is
         True, and exact distances, witnesses and normals are NaN.
@@ -156,7 +156,7 @@ class GpuError(LoewnerError, RuntimeError):
 
 
 class FileError(LoewnerError, OSError):
-    """A file is missing, empty, truncated, of the wrong kind, or cannot be written.
+    """A file is missing, empty, truncated or of the wrong kind, or it cannot be written.
 
     Examples
     --------

@@ -1,4 +1,6 @@
-"""Make JAX functions of a checker's clearances and distances, which JAX can differentiate, compile and vectorise.
+"""Make JAX functions that compute a checker's clearances and distances.
+
+JAX can differentiate, compile and vectorise these functions.
 
 Install JAX with ``pip install "loewner[jax]"``; it is imported only when a function here is called. Import this module
 by its full name, ``import loewner.jax``, because ``from loewner import jax`` would hide JAX's own name.

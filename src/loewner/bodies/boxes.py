@@ -1,4 +1,4 @@
-"""Find an orientation in which the box around points or triangles has little surface area."""
+"""Find an orientation in which the box around points or triangles has a small surface area."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Represent convex pieces by functions that are at most zero inside, and evaluate these for many points."""
+"""Represent convex pieces by functions that are at most zero inside, and evaluate the functions at many points."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Elements:
     rounding : ndarray, shape (n,)
         Bounds on the errors of heights, for deciding whether a point is inside; docs/containment.md derives them.
     exact : ndarray of bool, shape (n,)
-        Whether the heights of stored points have exact signs, as for axis-aligned boxes.
+        Whether the computed heights of float64 points have exact signs, as for axis-aligned boxes.
     plain : bool
         Whether all elements are balls, capsules and boxes. The direction to the nearest point of such an element is a
         combination of the directions that `face_one_way` considers.

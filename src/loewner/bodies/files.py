@@ -38,7 +38,7 @@ COVERINGS = ("convex", "hull", "decomposition", "solid", "cover", "swept")
 
 
 def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:
-    """Write a pack, and the covering of the mesh from which it was made."""
+    """Write a pack, and the covering of the mesh from which the pack was made."""
     _archives.write(path, BODIES, _content(packed, covering), WITH_SURFACES if packed.trees else WITHOUT)
 
 

@@ -1,14 +1,14 @@
 """Write flat files of arrays for programs without Python; `native/capi/files.c` maps and checks such files.
 
-A file consists of a header, a directory, and arrays. Each array starts at a cache line. Kernels use the arrays as they
-are; the reader only fills in addresses. The layout of the arrays belongs to one version of the kernels. The header
-names this version, and no other version can read the file.
+A file consists of a header, a directory, and arrays. Each array starts at the beginning of a cache line. Kernels use
+the arrays as they are; the reader only fills in addresses. The layout of the arrays belongs to one version of the
+kernels. The header names this version, and no other version can read the file.
 
 The header contains the text ``lwn file``, the format, the size of the file in bytes, a checksum of everything after the
-checksum, the hash of the kernels' sources, and eight numbers. The first seven numbers are the numbers of arrays, values
-of a configuration, links, moving bodies, static bodies, additional packs with surfaces in parts (0 or 2), and surfaces;
-the eighth number is 0. Each row of the directory contains the type of an array (0 int64, 1 float64, 2 float32, 3
-bytes), its numbers of rows and columns, and its offset in bytes.
+checksum, the hash of the kernels' sources, and eight numbers. The first seven numbers count the arrays, the values of a
+configuration, the links, the moving bodies, the static bodies, the additional packs with surfaces in parts (0 or 2),
+and the surfaces; the eighth number is 0. Each row of the directory contains the type of an array (0 int64, 1 float64, 2
+float32, 3 bytes), its numbers of rows and columns, and its offset in bytes.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def is_meant(path: str | os.PathLike[str]) -> bool:
 
 
 def save(path: str | os.PathLike[str], packed: Packed) -> None:
-    """Write a file that has only bodies, named by their indices; see `write`."""
+    """Write a file that contains only bodies, named by their indices; see `write`."""
     count = len(packed.piece_start) - 1
     packs = [packed]
     if packed.trees:
@@ -88,7 +88,7 @@ def write(
         The bodies. If surfaces can be cut into parts, two more packs of the same bodies follow. In the first, all
         surfaces are cut. In the second, only static bodies without solids are cut, into small parts.
     counts : tuple of int
-        Values of a configuration, links, and moving bodies.
+        The number of values of a configuration, the number of links, and the number of moving bodies.
 
     Raises
     ------

@@ -27,7 +27,7 @@ def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
-    """Triangulate all inner, or all outer, ellipsoids except points; the keys are the indices of the pieces."""
+    """Triangulate all inner, or all outer, ellipsoids that are not points; the keys are the indices of the pieces."""
     centers, factors = ellipsoids_of(packed, which)
     unit, triangles = ball(3 if len(centers) <= MANY_PIECES else 2)
     return {k: (unit @ F.T + c, triangles) for k, (c, F) in enumerate(zip(centers, factors, strict=True)) if F.any()}

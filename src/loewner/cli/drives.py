@@ -41,7 +41,7 @@ def add_options(plan: argparse.ArgumentParser) -> None:
 
 
 def refuse_unused(options: argparse.Namespace) -> None:
-    """Refuse options of drives if there is no base. With a base, refuse options that only other plans take."""
+    """Refuse the options of drives if there is no base; if there is one, refuse options that drives do not use."""
     if options.base is None:
         inputs.refuse(options, OF_DRIVES, "{}: expected --base with it")
     else:

@@ -30,8 +30,8 @@ class NearPoints(_validate.Brief):
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        Points on the first and second ellipsoids, in metres. If an overlap was found, the two points are equal and lie
-        in both ellipsoids.
+        A point on the first ellipsoid and a point on the second, in metres. If an overlap was found, the two points are
+        equal and lie in both ellipsoids.
     distance : ndarray, shape (...)
         ``|point_2 - point_1|``, in metres; 0 if an overlap was found.
     iterations : ndarray of int, shape (...)
@@ -138,7 +138,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
         "lin-han": the true nearest points, to within `angle`. "rimon-boyd": the point on each ellipsoid that growing
         level surfaces of the other ellipsoid touch first. "center-line": the points where the segment between the
         centers crosses the surfaces. The last two methods are closed forms, and their distance is never below the true
-        distance; "center-line" detects an overlap only if a point of the segment is in both ellipsoids.
+        distance. "center-line" detects an overlap only if a point of the segment is in both ellipsoids.
     angle : float
         For "lin-han", in radians: at both points, the outward normal and the direction to the other point differ by at
         most this angle. The paper uses 0.01; with 1e-8, the relative error of the distance is about 1e-16, or the

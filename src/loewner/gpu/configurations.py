@@ -42,8 +42,8 @@ Settle = Callable[..., NDArray[np.int8]]
 class Checker:
     """A collision checker on a GPU.
 
-    The GPU places the robot, and compares bounds and ellipsoids. Where these do not decide, the GPU runs exact
-    searches. For about one configuration or motion in a thousand, single precision proves nothing; the
+    The GPU places the robot, and compares bounds and ellipsoids. If the comparisons are inconclusive, the GPU runs
+    exact searches. For about one configuration or motion in a thousand, single precision proves nothing; the
     `CollisionChecker` then decides on the CPU. The answers are therefore equal to the answers of the
     `CollisionChecker`.
 
@@ -135,8 +135,9 @@ class Checker:
         Parameters
         ----------
         Q0, Q1 : array_like or array on the GPU, shape (..., dof)
-            Ends of the motions, broadcast together. If one array is on the GPU, both must be there, in float32, in C
-            order and with the same shape. The verdicts then hold for exactly these float32 numbers.
+            Ends of the motions, broadcast together. If one array is on the GPU, the other must be on the GPU, too, and
+            both must be float32 arrays in C order with the same shape. The verdicts then hold for exactly these float32
+            numbers.
         tolerance : float
             Distance in metres, used for the motions that are left to the CPU: a motion that comes within this distance
             of a collision may be AMBIGUOUS.
@@ -157,9 +158,9 @@ class Checker:
         Notes
         -----
         A motion is cut into intervals. As on the CPU, a plane proves two bodies free in an interval if it separates
-        them at both ends, and leaves room for the bend of the paths in between. All computations are in single
+        them at both ends with enough room for the bend of the paths in between. All computations are in single
         precision, with bounds on the errors (docs/certified.md). The CPU decides the remaining motions, about one in a
-        thousand; these come within a few hundredths of a millimetre of contact.
+        thousand; these motions come within a few hundredths of a millimetre of contact.
 
         Examples
         --------

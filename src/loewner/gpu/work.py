@@ -1,4 +1,4 @@
-"""Code that queries about pairs and configurations share: fallbacks, lists of work for the CPU, and rows of tables."""
+"""Shared code of queries about pairs and configurations: fallbacks, lists of work for the CPU, and rows of tables."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class Left:
 
 
 def length_of(device: Device, listed: Memory) -> int:
-    """Wait until all work is done, and read the length of a list, which may exceed the list's room."""
+    """Wait until all work is done, and read the length of a list, which may exceed the list's capacity."""
     count = np.empty(1, dtype=np.int32)
     device.download(listed.address, count)
     return int(count[0])
@@ -124,7 +124,7 @@ def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
 
 
 def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
-    """Write small values to single bytes of GPU memory at the given rows."""
+    """Write small values to GPU memory, one byte for each of the given rows."""
     listed, device_values = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
     device.launch("scatter_bytes", len(rows), listed, device_values, target)
     device.wait()  # the lists must exist until the work is done

@@ -25,7 +25,7 @@ class ClosedPart(NamedTuple):
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Triangles, counter-clockwise when seen from outside the solid. For a cavity, outside the solid means within the
+        Triangles, counter-clockwise when seen from outside the solid. For a cavity, "outside" means within the
         cavity.
     volume : float
         Enclosed volume without the cavities, in cubic metres.
@@ -71,7 +71,10 @@ def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
 
 
 def volume(vertices: Floats, triangles: Ints) -> float:
-    """Compute a closed mesh's signed volume, by the divergence theorem about its center to reduce cancellation."""
+    """Compute a closed mesh's signed volume by the divergence theorem.
+
+    Coordinates are taken relative to the center of the mesh, to reduce cancellation.
+    """
     corners = vertices[triangles]
     a, b, c = (corners - corners.mean(axis=(0, 1))).transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)

@@ -217,10 +217,10 @@ def convex_pieces(
         Whether to grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
         The largest distance by which the pieces may stick out of the mesh, in metres. If a tolerance is given, the mesh
-        is cut along planes instead of by CoACD, until no piece sticks out farther than the tolerance or `max_pieces` is
-        reached. If a piece still sticks out farther, a warning states how far. A mesh with holes is always cut along
-        planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 % would take too
-        much work.
+        is cut along planes instead of by CoACD, either until no piece sticks out farther than the tolerance, or until
+        `max_pieces` is reached. If a piece still sticks out farther, a warning states how far. A mesh with holes is
+        always cut along planes; the default tolerance is then 2 % of the diagonal of the bounding box, or more if 2 %
+        would take too much work.
     threshold : float
         CoACD's bound on concavity, from 0.01 to 1. A smaller bound gives more pieces and a closer fit. The bound
         applies only to meshes without holes.
@@ -259,8 +259,8 @@ def convex_pieces(
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do. A triangle that lies in no
     piece is halved until its parts lie in a piece, nearly lie in one, or are smaller than 0.25 % of the mesh's
     diagonal. With `cover`, the remaining parts are added to the nearest piece. Without `cover`, the distance of the
-    remaining parts from the pieces is measured at the parts' corners. The distance to a convex piece is greatest at a
-    corner, because it is a convex function.
+    remaining parts from the pieces is measured at the parts' corners. The distance to a convex piece is a convex
+    function, and is therefore greatest at a corner.
 
     References
     ----------
@@ -335,7 +335,7 @@ class Options(NamedTuple):
 
 
 def convex_polytopes(source: Source, options: Options) -> tuple[list[Polytope], Covering]:
-    """Split a mesh as `convex_pieces` does, and keep the faces of the hulls; errors begin with the mesh's name."""
+    """Split a mesh as `convex_pieces` does, and keep the hulls' faces; error messages begin with the mesh's name."""
     try:
         return _polytopes(source, options)
     except GeometryError as error:
@@ -451,7 +451,7 @@ def _size(vertices: Floats) -> float:
 
 
 def welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """Merge equal vertices; drop unused vertices, and triangles that have thereby lost a corner."""
+    """Merge equal vertices; then drop triangles whose corners are not distinct, and unused vertices."""
     vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles]
     a, b, c = triangles.T

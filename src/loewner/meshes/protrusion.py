@@ -55,7 +55,7 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh that measures distances: from the solid if the mesh is closed, and from the surface otherwise.
+    """A triangle mesh, and distances from it: from the solid if the mesh is closed, and otherwise from the surface.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Solid:
         return distances, self._tree.numbers[places]
 
     def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
-        """Return whether all triangles within reach of a point face one half-space.
+        """Return, for each point, whether the outward normals of all triangles within `reach` lie in one half-space.
 
         A surface that is not closed has two outer sides. If the point and its surroundings are known to be `outside`,
         only the side that faces the point counts.
@@ -187,26 +187,26 @@ def protrusions(
     relative : float
         How close the bound must come to the distance found, as a share of that distance.
     together : bool
-        Whether only the piece that sticks out most matters; the search can then end earlier.
+        Whether only the greatest protrusion of all pieces matters; the search can then end earlier.
 
     Notes
     -----
     The distances of two points from the solid differ by at most the distance between the points. One bound for a
     triangle of a piece's boundary is therefore the distance of the triangle's center, negative inside, plus the
-    triangle's radius about the center. The distance to a single triangle of the mesh is a convex function, so its
-    largest value at a corner is a second bound. The smaller bound counts. A triangle whose bound is above the required
-    bound is halved, or cut along the edges of the mesh triangle in which it nearly lies. The cut settles the part in
-    the mesh triangle.
+    triangle's radius about the center. The distance to a single triangle of the mesh is a convex function, so the
+    largest of its values at the corners is a second bound. The smaller bound counts. A triangle whose bound is above
+    the required bound is halved, or cut along the edges of the mesh triangle in which it nearly lies. The cut settles
+    the part in the mesh triangle.
 
     If a piece fills a cavity or a groove of the mesh, the distance may have a local maximum inside the piece that
-    exceeds all values on its boundary. At such a maximum, the directions from the nearest points of the surface
-    surround the point. Each direction is a combination of the outward normals of the triangles at the nearest point
-    from which it starts.
+    exceeds all values on its boundary. The directions from the nearest points of the surface to such a maximum do not
+    all lie in one open half-space. Each direction is a combination of the outward normals of the triangles at its
+    nearest point.
 
-    The inside is searched in cubes. A cube has no such maximum if all triangles within reach face one half-space. For
-    any other cube, the bound from the distance of its center is used, or the cube is divided. If the solid is on the
-    outer side of some triangle of the mesh, for instance where a cavity extends beyond its part, no cube can be ruled
-    out in this way.
+    The inside of each piece is searched cube by cube. A cube contains no such maximum if the outward normals of all
+    triangles that may be nearest to one of its points lie in one open half-space. For any other cube, the bound from
+    the distance of its center is used, or the cube is divided. If the solid is on the outer side of some triangle of
+    the mesh, for instance where a cavity extends beyond its part, no cube can be ruled out in this way.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])

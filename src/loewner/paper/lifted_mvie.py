@@ -1,4 +1,4 @@
-"""Find the smallest ellipsoid around points as the largest one in a polytope with one more dimension (appendix B).
+"""Find the smallest ellipsoid around points as the largest ellipsoid in a polytope of one more dimension (appendix B).
 
 The method is used to check `loewner.mvce`. It is slower, since the lifted problem has dimension n + 1 and two
 half-spaces per point.

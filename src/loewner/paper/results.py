@@ -23,7 +23,7 @@ class Result:
     name : str
     answers : Answers
     all, ambiguous : Confusion
-        Counts over all pairs, and over the pairs that are ambiguous to this detector.
+        Counts over all pairs, and counts over the pairs that are ambiguous for this detector.
     microseconds, ambiguous_microseconds : float
         Average time of one check on one thread, over all pairs and over the ambiguous pairs; NaN if the time was not
         measured, or no pair is ambiguous.
@@ -46,7 +46,7 @@ class Result:
 
     @property
     def parts(self) -> tuple[Confusion, Confusion]:
-        """The counts for parts (a) and (b) of a table: over all pairs, and over the ambiguous pairs."""
+        """The counts for part (a) of a table, over all pairs, and for part (b), over the ambiguous pairs."""
         return self.all, self.ambiguous
 
     @property
@@ -71,7 +71,8 @@ class Experiment:
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
-        Results of the rule F_in F_out <= 1; a pair is ambiguous if the two exact overlap checks do not settle the pair.
+        Results of the rule F_in F_out <= 1; a pair is ambiguous if its outer ellipsoids overlap but its inner
+        ellipsoids do not.
     fittings : tuple of Fitting
         Reliability of each kind of fit, measured on at most the first 2000 polyhedra.
 

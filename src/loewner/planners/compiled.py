@@ -1,4 +1,4 @@
-"""Call the compiled RRT-Connect and shortening: allocate the kernels' memory, and turn error codes into exceptions."""
+"""Call the kernels of RRT-Connect and of shortening: allocate their memory, and turn error codes into exceptions."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def _what_is_between(growth: Growth) -> str:
 
 
 def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
-    """Return a shorter path with the same ends. The judge has accepted all motions of both paths."""
+    """Return a shorter path with the same ends. The judge accepts all motions of the given path, and of the result."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     handles = judge.asked()

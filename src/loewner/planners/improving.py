@@ -58,13 +58,13 @@ LEAST_CLEARANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Improve:
-    """How `plan_full` improves a path: up to a limit on the time or on the rounds, or not at all without a limit.
+    """How `plan_full` improves a path: up to a limit on the time or on the rounds, or not at all if there is no limit.
 
     Parameters
     ----------
     seconds : float, optional
-        Improve until this time has passed since the beginning of the call. The first path is returned in any case.
-        Default: the timeout of the search.
+        Improve until this time has passed since the beginning of the call. The first path is returned in any case. If
+        only `iterations` is given, the limit on the time is the timeout of the search.
     iterations : int, optional
         Limit on the number of rounds. Equal numbers of rounds and equal seeds lead to equal paths, unless the time runs
         out first.
@@ -133,9 +133,9 @@ class Plan(KeepsReadOnly):
     cost : float
         Cost of the path.
     bound : float
-        Lower bound on the cost of every path from the start to one of the goals. The bound is the least cost of the
-        straight motions to the goals that are free and within the limits. The motions themselves need not be free. For
-        a `PoseGoal` the bound is 0, since configurations that were not tried may reach the pose at a lower cost.
+        Lower bound on the cost of every path from the start to one of the goals. The bound is the least cost of a
+        straight motion to any free goal within the limits; the motion itself need not be free. For a `PoseGoal` the
+        bound is 0, since configurations that were not tried may reach the pose at a lower cost.
     iterations : int
         Number of rounds that tried to improve the path.
     seconds : float
@@ -403,8 +403,8 @@ def improved(
 ) -> tuple[Floats, int]:
     """Improve a path to one of several free goals; return the path and the number of rounds.
 
-    The judge accepts all motions of the given path, and of the result. With a clearance, half of the rounds and of the
-    time shorten the path, and the other half move the path away from obstacles.
+    The judge accepts all motions of the given path, and of the result. With a clearance, at most half of the rounds and
+    of the time are used to shorten the path, and the rest is used to move the path away from obstacles.
     """
     if clearing is None or asked.most == 0:
         return _shorter(space, judge, path, goals, asked)

@@ -113,7 +113,7 @@ class KeptAxis:
 
 
 def parts_of(keep: Any, wanted: str) -> list[Any]:
-    """Return the parts of an argument `keep`; refuse an argument with another number of parts than `wanted`."""
+    """Return the parts of an argument `keep`; refuse an argument with more or fewer parts than `wanted`."""
     listed = _validate.listed(keep, "keep", wanted=wanted)
     if len(listed) != len(wanted.split(",")):
         raise InputError(f"keep: expected {wanted}, found {_validate.short(keep)}")

@@ -114,7 +114,7 @@ def straight(
 def followed(
     robot: Robot, chain: Chain, q: Floats, line: Line, target: Floats, kept: KeptAxis | None = None
 ) -> tuple[Floats, Floats, tuple[str, str] | None]:
-    """Follow a line from the current pose of its link to a target, without regard to collisions or to rows of a path.
+    """Follow a line from its link's current pose to a target, ignoring collisions, and `first` and `last` of the line.
 
     Returns
     -------

@@ -47,7 +47,7 @@ def space_information(
     fixed : array_like, shape (dof,), optional
         Values that all remaining joints keep. Default: the values of `Robot.configuration`, all 0.
     certified : bool
-        Prove the motions that OMPL checks, as `plan` does. Otherwise, sample the motions in steps.
+        Whether to prove the motions that OMPL checks, as `plan` does. If false, the motions are sampled in steps.
     resolution : float
         As for `plan`, in the units of the joints.
 
@@ -81,8 +81,8 @@ def space_information(
 def find_path(space: Space, judge: Judge, q: Floats, goals: Floats, search: Search, seed: int) -> Floats:
     """Find a path from a configuration to one of the goals with OMPL.
 
-    The judge decides about the motions that OMPL checks, for the state of the scene at the time of each check. Planners
-    that divide motions themselves use the resolution of the search.
+    The judge decides whether the motions that OMPL checks are free, each in the state of the scene at the time of its
+    check. Planners that divide motions themselves use the resolution of the search.
 
     Raises
     ------

@@ -136,8 +136,8 @@ def plan(
         joints.
     keep : (link, axis, direction, angle), optional
         An axis of the link ("x", "y", "z" or a vector) must stay within an angle [rad] of a direction in the world, for
-        example to avoid spilling a cup. The angle is proven for every motion of the path, without joint errors. Only
-        the compiled planner supports this option.
+        example to avoid spilling a cup. The angle is proven for every motion of the path; joint errors are not taken
+        into account. Only the compiled planner supports this option.
     joint_error : float or array_like, shape (dof,)
         Radians or metres by which each value may deviate from the path. Every motion is proven for all such deviations,
         including deviations of joints that do not move. With a joint error, the path must not begin or end in contact.
@@ -147,7 +147,7 @@ def plan(
         Equal seeds lead to equal paths, unless the timeout ends the search. With an OMPL planner, this argument sets
         OMPL's seed, which applies to the whole process. The seed has no effect on drives, whose search is not random.
     planner, certified, resolution, max_iterations, timeout, simplify : optional
-        Single fields of `search`. They replace the values in `search`.
+        Single fields of `search`, which replace the values in `search`.
     full, proof, improve_for, improve_iterations, weights, clearance : optional
         Improve the path as `plan_full` does; ``improve_for`` and ``improve_iterations`` are the `seconds` and the
         `iterations` of `Improve`. With ``full=True``, the result is a `Plan`.

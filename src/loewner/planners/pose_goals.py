@@ -103,7 +103,9 @@ class PoseGoal:
     def configurations(
         self, checker: CollisionChecker, start: ArrayLike, joints: str | Iterable[str] | None = None
     ) -> Floats:
-        """Find configurations that reach the goal. Free configurations come first, then those nearer to `start`.
+        """Find configurations that reach the goal.
+
+        Free configurations precede colliding ones. Within each group, configurations nearer to `start` come first.
 
         Parameters
         ----------
@@ -322,7 +324,7 @@ class Approaches(NamedTuple):
     retreats: list[Floats | None]
 
     def joined(self, judge: Judge, path: Floats, goals: Floats) -> tuple[Floats, int | None, Floats | None]:
-        """Append an approach to a path. Also return the row at which the approach begins, if any, and the retreat.
+        """Append an approach to a path; also return the row at which it begins, and the retreat. Either may be None.
 
         Parameters
         ----------
@@ -334,8 +336,8 @@ class Approaches(NamedTuple):
         Raises
         ------
         PlanningError
-            If a line is not proven after these shifts, which are rounded, or not in the state of the scene that `judge`
-            refers to.
+            If a line is not proven free after these shifts, which are rounded, in the state of the scene to which
+            `judge` refers.
         """
         k = int(np.abs(goals - path[-1]).max(axis=1).argmin())
         approach, retreat = self.rows[k], self.retreats[k]

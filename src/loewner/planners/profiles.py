@@ -49,13 +49,16 @@ class Phase(NamedTuple):
 
 
 def duration(halves: Floats, speeds: Sequence[float], profiles: Iterable[Iterable[Phase]]) -> float:
-    """Add up the seconds of all phases and blends. A blend takes twice its half, divided by the speed at its corner."""
+    """Add up the durations [s] of all phases and blends.
+
+    A blend takes 2 h / v, where h is half the length of the blend, and v is the speed at its corner.
+    """
     blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
     return float(blends + sum(phase.seconds for profile in profiles for phase in profile))
 
 
 def ramp(change: float, limits: Limits) -> tuple[float, float]:
-    """Return two durations of a change of speed: of each phase with jerk, and of the phase without jerk between them.
+    """For a change of speed, return the duration of each phase with jerk, and of the phase without jerk between them.
 
     The change is the fastest within the limits, except that no phase is shorter than the least duration.
     """
@@ -69,7 +72,7 @@ def ramp(change: float, limits: Limits) -> tuple[float, float]:
 
 
 def ramp_way(low: float, high: float, limits: Limits) -> float:
-    """Return the distance of a change between two speeds: the duration of the change times the mean speed."""
+    """Return the distance covered while the speed changes: the duration of the change times the mean speed."""
     edge, flat = ramp(high - low, limits)
     return (low + high) / 2 * (2 * edge + flat)
 
@@ -90,8 +93,8 @@ def turned(half: float, limits: Limits) -> float:
 def phases(length: float, limits: Limits, first: float, last: float) -> tuple[Phase, ...]:
     """Return the fastest phases between two speeds on a straight line.
 
-    Each speed must be reachable from the other one (`reached`). At either speed, the length must take at least the
-    shortest duration of a phase.
+    Each speed must be reachable from the other one (`reached`). At either speed, covering the length must take at
+    least the shortest duration of a phase.
     """
 
     def needed(peak: float) -> float:

@@ -1,4 +1,4 @@
-"""Connect poses (x, y, heading) by ways that a base can drive: Reeds-Shepp paths, Dubins paths, or with turns in place.
+"""Connect poses (x, y, heading) by drivable ways: Reeds-Shepp or Dubins paths, or straight ways with turns in place.
 
 A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. The base drives
 and turns at constant rates, so a motion is an arc of a circle, a straight line, or a turn in place.
@@ -53,7 +53,7 @@ class Ways(NamedTuple):
 
 
 class Polar(NamedTuple):
-    """The center of the last circle relative to the center of the first circle, which is to the left (radius 1)."""
+    """The center of the last circle relative to the center of the first one, which is on the left; the radius is 1."""
 
     x: Floats
     y: Floats

@@ -5,7 +5,7 @@ moving body. The trajectory is divided by stations, which the robot passes at on
 speed. Between stations, its acceleration is constant. A state consists of a station, a share and a time, and the states
 are searched station by station. The search considers the bodies only at stations, so the resulting trajectory is then
 proven as a whole. If the proof fails, the search is repeated with the place and time of the failure blocked. With
-limited jerk, positions are averaged over a time window, which keeps all limits. docs/design/moving.md gives the
+limited jerk, positions are averaged over a time window; the average keeps all limits. docs/design/moving.md gives the
 reasons.
 """
 
@@ -156,7 +156,7 @@ def time_path(
     checker : CollisionChecker
     path : array_like, shape (k, dof)
         Two or more configurations, for example from `plan` with a scene without the moving bodies. The motions of the
-        path must be proven free in this scene.
+        path must be proven free when the moving bodies are ignored.
     start_time : float
         Time at which the robot is at rest at the first configuration [s], on the clock of the bodies' motions.
     arrive_by : float, optional
@@ -185,9 +185,9 @@ def time_path(
     Raises
     ------
     PlanningError
-        If a motion of the path is not proven free without the moving bodies. If the start collides at the start time,
-        or the arrival time is too early. If no timing is found. The message names a pair of bodies, the place and the
-        time.
+        If a motion of the path is not proven free even when the moving bodies are ignored. If the start collides at the
+        start time, or the arrival time is too early. If no timing is found. The message names a pair of bodies, the
+        place and the time.
     InputError
         As for `trajectory`. If the path has only one configuration. If the velocity at the end is not along the last
         motion, cannot be reached on the path, or is given together with jerk limits.
@@ -202,8 +202,9 @@ def time_path(
     "path-velocity decomposition", IJRR 1986). The search has a finite resolution. It may fail although a timing exists,
     and the result may arrive later than necessary. If no body is in the way, the result is the trajectory that
     `trajectory` returns. Otherwise, with limited jerk, the robot follows the average of its positions over a time
-    window, such as 0.2 s for 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and acceleration. The
-    averaged trajectory takes longer by the length of the window, and stays at each stop for this time.
+    window, such as 0.2 s for limits of 10 rad/s² and 100 rad/s³. The average keeps the limits of velocity and
+    acceleration. The averaged trajectory takes longer by the length of the window, and stays at each stop for this
+    time.
 
     Examples
     --------

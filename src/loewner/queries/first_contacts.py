@@ -86,8 +86,8 @@ def first_contact(
         pose, for a body at rest. None is the identity.
     tolerance : float
         Distance in metres by which the bodies may approach each other between `free_until` and `touching_at`. Choose at
-        least about 1e-11 times the lengths involved, or 1e-8 times for ellipsoids, cylinders and cones; with a smaller
-        tolerance, pairs are AMBIGUOUS.
+        least about 1e-11 times the lengths involved, or 1e-8 times these lengths for ellipsoids, cylinders and cones;
+        with a smaller tolerance, pairs are AMBIGUOUS.
     margin : float
         Distance in metres that the bodies have to keep.
 
@@ -112,8 +112,8 @@ def first_contact(
 
     References
     ----------
-    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908. For the bound
-    between two planes, see docs/certified.md.
+    Mirtich (1996), conservative advancement; Zhang, Lee and Kim (2006), doi:10.1145/1128888.1128908.
+    docs/certified.md derives the bound for a step between two planes.
 
     Examples
     --------

@@ -381,9 +381,9 @@ class PackedPaths(NamedTuple):
         return deviations.reshape(len(begin), 3 * len(self.bounds))
 
     def knots(self, t0: Floats, t1: Floats, fine: bool) -> Floats:
-        """List, in order, at least all times between t0 and t1, shape (N,) each, at which bodies change their rates.
+        """List, in order, all times between t0 and t1, shape (N,) each, at which bodies change their rates.
 
-        See `_knots` for `fine` and for errors.
+        The list may contain other times, too. See `_knots` for `fine` and for errors.
         """
         if len(t0) == 0 or not self.periods.any():
             return self.once[fine]

@@ -24,7 +24,7 @@ def pairs_by_sampling(
     known_free: ArrayLike | None = None,
     always: float = 0.95,
 ) -> dict[Pair, str]:
-    """Find pairs of links that need not be checked, as MoveIt's setup assistant does; meant for robots without an SRDF.
+    """Find pairs of links that need not be checked, as MoveIt's setup assistant does, for robots without an SRDF.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def pairs_by_sampling(
         Number of random configurations within the limits; see `Robot.random_configurations`.
     seed : int
     known_free : array_like, shape (..., dof), optional
-        Configurations at which the robot is known to be free, for instance its current one. Pairs that collide at these
-        configurations collide only because the bodies are larger than the real links.
+        Configurations at which the real robot is known to be free, for instance its current one. If a pair of links
+        collides at such a configuration, the only reason is that the bodies are larger than the real links.
     always : float
         Fraction of the samples, above 0 and at most 1, at which two links have to collide to count as always colliding.
 
@@ -43,7 +43,7 @@ def pairs_by_sampling(
     -------
     dict
         Maps sorted pairs of links to a reason: "adjacent" if a joint connects the links; "default" if they collide at
-        `known_free`; "always" if they collide at no less than the fraction `always` of the samples; "never" if they
+        `known_free`; "always" if they collide at the fraction `always` of the samples or more; "never" if they
         collide at no sample. Rigidly joined links are never checked and are not listed.
 
     Raises

@@ -54,7 +54,7 @@ class _Model:
 
 
 def check_limits(file: Path) -> str:
-    """Refuse a model on which MuJoCo's compiler would run very long or block; return the tag of the root element.
+    """Refuse a model on which MuJoCo's compiler would run for very long or block; return the tag of the root element.
 
     Raises
     ------

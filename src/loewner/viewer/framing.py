@@ -45,7 +45,7 @@ def diagonal(box: Floats) -> float:
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Set the camera's first view: it shows a box from the front, the right and above, to the left of the panel."""
+    """Set the camera's first view, from the front, the right and above; the box appears to the left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle

@@ -203,7 +203,7 @@ def _queried(path: str) -> list[str]:
 
 
 def install(server: Any, guard: Guard) -> None:
-    """Put the guard before a viser server that has just been started, and check that the guard works.
+    """Put the guard in front of a viser server that has just been started, and check that the guard works.
 
     viser has no hook for this, so the guard is installed in the websockets server on which viser is built. That server
     is reached through one of its own connections, opened for this purpose. Clients that connected earlier are

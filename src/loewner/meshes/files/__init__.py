@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
 
     A file that states its unit of length is converted to metres; all other files are assumed to be in metres. Vertices
     may be infinite or NaN if the file contains such values; all indices belong to existing vertices. Each kind of
-    doubtful content causes one warning, which names its first place in the file.
+    doubtful content causes one warning, which names the place of its first occurrence in the file.
 
     Raises
     ------

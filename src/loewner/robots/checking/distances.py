@@ -27,7 +27,7 @@ class StateDistance(_validate.Brief, Generic[Exact, Vector]):
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the minima of the lower and of the upper bounds of all checked pairs.
+        Certified bounds from the ellipsoids: the least lower bound and the least upper bound of all checked pairs.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None

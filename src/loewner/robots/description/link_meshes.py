@@ -104,8 +104,8 @@ def hull_or_solid(vertices: Floats, triangles: Ints) -> tuple[Choice, tuple[Floa
     -------
     choice : {"hull", "solid", "open"}
         "hull": the mesh is closed, and its hull is proven to stick out by at most `NEAR`, or by at most the share
-        `NEAR_SHARE` of the diameter. "solid": the mesh is closed, but its hull is not proven to be so close. "open":
-        the mesh has no inside.
+        `NEAR_SHARE` of the diameter. "solid": the mesh is closed, but no such bound on its hull is proven. "open": the
+        mesh has no inside.
     mesh : tuple of ndarray
         Vertices and triangles; holes of a nearly closed mesh have been closed. The triangles of each closed part face
         outward, unless the part is a cavity. A part is a cavity of a larger part if all of its tested points lie in the

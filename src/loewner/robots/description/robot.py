@@ -126,9 +126,10 @@ class Robot(KeepsReadOnly):
         Limits of the joints, as given in the file. A plan may start outside `lower` and `upper`, but not outside these
         limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
-        The largest rates of each value [rad or m per s, s² and s³]: the URDF's limits, or lower values if a mimicking
-        joint would otherwise exceed its own limit. NaN if the URDF gives no positive limit, and for planar and floating
-        joints. Only URDF 1.2 has acceleration and jerk limits.
+        Upper limits on the velocity [rad/s or m/s], the acceleration [rad/s² or m/s²] and the jerk [rad/s³ or m/s³] of
+        each value: the URDF's limits, or lower limits if a mimicking joint would otherwise exceed its own limit. NaN if
+        the URDF gives no positive limit, and for planar and floating joints. Only URDF 1.2 has acceleration and jerk
+        limits.
     bodies : dict
         Maps the names of links with collision geometry to a `Body` in the frame of the link. In `bodies`, `shapes`,
         `groups` and `states`, looking up an unknown name raises an UnknownNameError that lists the known names.
@@ -283,7 +284,8 @@ class Robot(KeepsReadOnly):
         GeometryError
             If a shape is flat or has no size.
         UnknownNameError
-            If a joint refers to a name that does not exist, or the SRDF belongs to a different robot.
+            If a joint names a link that does not exist, or if hardly any of the links and joints that the SRDF names
+            belong to this robot.
         MissingExtraError
             If a mesh is to be decomposed and CoACD is not installed, or a xacro file is to be expanded without xacro.
 
@@ -291,10 +293,13 @@ class Robot(KeepsReadOnly):
         -----
         UserWarning
             If ``meshes="auto"`` and meshes are not closed; one warning names all open meshes. If the URDF or the SRDF
-            has parts that its format does not define (docs/robots.md). If the limits of a mimicking joint would leave
-            the joint that it mimics hardly any range. If the SRDF is for a different robot, names unknown links or
-            joints, names no known links or joints, or contains passive joints or a moving base. If a body is probably
-            not in metres, or the angles of an origin or the limits of revolute joints are probably not in radians.
+            has parts that its format does not define (docs/robots.md). If a joint mimics a joint that does not exist,
+            or the limits of a mimicking joint would leave hardly any range to the joint that it mimics. If a body is
+            probably not in metres, or the angles of an origin or the limits of revolute joints are probably not in
+            radians.
+
+            If the SRDF is for a robot with a different name, names unknown links or joints, names no known links or
+            joints, or contains passive joints or a moving base.
 
         Examples
         --------
@@ -581,8 +586,8 @@ class Robot(KeepsReadOnly):
         Warns
         -----
         UserWarning
-            If the limits of a mimicking joint would leave the joint that it mimics hardly any range; if the limits of
-            revolute joints are probably not in radians.
+            If the limits of a mimicking joint would leave hardly any range to the joint that it mimics; if the limits
+            of revolute joints are probably not in radians.
 
         Examples
         --------
@@ -1071,7 +1076,7 @@ class Robot(KeepsReadOnly):
         Parameters
         ----------
         pairs : iterable of pairs of str, optional
-            Names of links with bodies, or of bodies that are attached to links of this robot or at rest in `scene`. At
+            Names of links with bodies, or of bodies of `scene` that are attached to links of this robot or at rest. At
             least one body of each pair must move. Default: the pairs that the SRDF or the MJCF exempts from checking,
             or all pairs of links with bodies if neither has rules about pairs.
         margin : float
@@ -1113,7 +1118,7 @@ class Robot(KeepsReadOnly):
 
         See Also
         --------
-        loewner.pairs_by_sampling : Guesses such pairs from samples.
+        loewner.pairs_by_sampling : Guesses from samples which pairs never or always collide.
 
         Notes
         -----
@@ -1151,8 +1156,8 @@ class Robot(KeepsReadOnly):
         ----------
         joints : str or iterable of str
             The name of one value, or of several values, as in `configuration_names`. The range of a single value ends
-            where contact begins, up to 1e-9 rad or m, or at the value's limit. The range of several values is a box.
-            Every end of the box is at the same fraction of the way from the configuration to the value's limit.
+            where contact begins (to within 1e-9 rad or m) or at the value's limit. The range of several values is a
+            box. Every end of the box is at the same fraction of the way from the configuration to the value's limit.
         about : array_like, shape (dof,), optional
             The configuration about which the range extends; values that are not in `joints` stay fixed. Default:
             `configuration()`.
@@ -1172,7 +1177,7 @@ class Robot(KeepsReadOnly):
         ------
         InputError
             As for `prove_pairs`; also if there are no pairs, the configuration is outside the limits, or pairs collide
-            at it.
+            at this configuration.
         UnknownNameError
             If there is no such value, link or body.
 
@@ -1201,8 +1206,8 @@ class Robot(KeepsReadOnly):
 
         Shapes that stick out of links can meet although the links never do, so that a planner may find no path. Random
         configurations reveal such pairs of links. If `prove_pairs` proves that the links of a pair never collide, the
-        pair is added to `disabled_pairs`. Other pairs stay checked, and a warning lists the pairs whose shapes always
-        meet.
+        pair is added to `disabled_pairs`. Other pairs are still checked, and a warning lists the pairs whose shapes
+        always meet.
 
         Parameters
         ----------
@@ -2002,7 +2007,10 @@ def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def first_shown(robot: Robot) -> tuple[str | None, Floats]:
-    """Return the state with the most joints and its configuration, or None and zeros; move values into the limits."""
+    """Return the name of the state with the most joints, and its configuration with values moved into the limits.
+
+    If there is no state, return None, and zeros moved into the limits.
+    """
     state = max(robot.states, key=lambda name: len(robot.states[name][1]), default=None)
     return state, np.clip(robot.configuration(state), robot.lower, robot.upper)
 

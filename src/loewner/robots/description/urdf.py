@@ -148,10 +148,11 @@ class Joint:
 
     A joint made in memory has the line 0. The `axis` of a joint whose kind has no axis is meaningless.
 
-    `velocity`, `acceleration` and `jerk` are the largest rates of the joint's value [rad or m per s, s² and s³], or NaN
-    if the URDF gives no positive rates. The child is at `origin` when the value is `reference`. `lower` and `upper` are
-    the limits in the file; `soft` are narrower limits, from the joint's controller and from the joints that mimic it.
-    `bounds` are the lower and upper limits of the first values of a joint with several values; URDF has no such limits.
+    `velocity` [rad/s or m/s], `acceleration` [rad/s² or m/s²] and `jerk` [rad/s³ or m/s³] are upper limits on the rates
+    of the joint's value, or NaN if the URDF gives no positive limits. The child is at `origin` when the value is
+    `reference`. `lower` and `upper` are the limits in the file; `soft` are narrower limits, from the joint's controller
+    and from the joints that mimic it. `bounds` are the lower and upper limits of the first values of a joint with
+    several values; URDF has no such limits.
     """
 
     name: str
@@ -186,8 +187,8 @@ class Description:
     name : str
     path : Path
     shapes : dict
-        Maps every link name to the link's collision shapes; parents come before children, siblings are in the file's
-        order.
+        Maps every link name to the link's collision shapes; parents come before children, and siblings are in the
+        file's order.
     joints : dict
         Maps joint names to joints, in the file's order. No joint mimics a joint that itself mimics another joint: such
         chains are resolved.
@@ -229,8 +230,8 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     -----
     UserWarning
         If the file has parts that URDF does not define, or its version is newer than 1.2. If a joint mimics a joint
-        that does not exist, or the limits of a mimicking joint would leave the joint that it mimics hardly any range.
-        If the angles of an origin, or limits, are probably in degrees.
+        that does not exist, or the limits of a mimicking joint would leave hardly any range to the joint that it
+        mimics. If the angles of an origin, or limits, are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     name, version = root.get("name"), _version(root)

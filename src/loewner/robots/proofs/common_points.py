@@ -1,4 +1,4 @@
-"""Find points well inside two bodies, and vertices that prove that they are inside; see docs/proof-format.md."""
+"""Find points well inside two bodies, and vertices that prove that the points are inside; see docs/proof-format.md."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def blocks(packs: Sequence[Packed], poses: Floats, near: Floats) -> Iterator[byt
         The bodies, with their surfaces cut into parts.
     poses : ndarray, shape (2, 4, 4)
     near : ndarray, shape (2, 3)
-        Witnesses of the depth, see `loewner.distance`.
+        Witnesses of the depth; see `loewner.distance`.
     """
     middle, chosen = near.mean(axis=0), list[tuple[int, _Piece]]()
     for packed, T in zip(packs, poses, strict=True):

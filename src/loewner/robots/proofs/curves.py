@@ -57,8 +57,8 @@ class Curve(NamedTuple):
     off : ndarray, shape (n, dof)
         Bounds on the rounding error of each value.
     carried : tuple of (str, str)
-        Each body that the robot has to carry, with the link that carries the body. The link is empty if the robot must
-        not carry the body.
+        Bodies that the robot either has to carry or must not carry, each with the link that has to carry it, or with an
+        empty name if the robot must not carry the body.
     """
 
     names: tuple[str, ...] | None
@@ -161,7 +161,7 @@ def _joined(curve: Curve) -> tuple[Floats, Floats]:
 
 
 def expect_short(found: NDArray[np.int8], times: Floats, number: int) -> None:
-    """Refuse a curve with a piece that would take too many intervals; the message gives the curve's number."""
+    """Refuse a curve with a piece that would take too many intervals; the message gives the curve's index."""
     for n in np.flatnonzero(found == codes.TOO_LONG)[:1]:
         raise InputError(
             f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "

@@ -156,7 +156,8 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     courses : ndarray, shape (M, points, 7 bodies)
         Receives the courses.
     off : ndarray, shape (M, 7 bodies + 3 growing)
-        Receives how far values may deviate from the courses, and points of bodies from their positions, as in `Pieces`.
+        Receives how far values may deviate from the courses, and how far points of bodies may deviate from their
+        positions, as in `Pieces`.
     """
     values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
     off[:, values:] = paths.off(begin, end, TIME_ROUNDINGS * (farthest + paths.spans.max(initial=0.0)))
@@ -196,7 +197,7 @@ def prove_edges(
     robot: Robot, ready: Problem, paths: PackedPaths, ends: tuple[Floats, Floats],
     times: tuple[Floats, Floats], options: ProofOptions,
 ) -> Found:  # fmt: skip
-    """Prove which straight motions between `ends`, shape (N, dof) each, at `times` are free.
+    """Prove which straight motions are free; the robot is at `ends`, shape (N, dof) each, at `times`, shape (N,) each.
 
     COLLIDING is confirmed at the configuration and the time that a user computes from the fraction.
     """

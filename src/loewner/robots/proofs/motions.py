@@ -120,7 +120,7 @@ class Found(NamedTuple):
         Raises
         ------
         InputError
-            If there is such a motion. The message gives the number of the first such motion.
+            If there is such a motion. The message gives the index of the first such motion.
         """
         for k in (self.verdicts == codes.TOO_LONG).nonzero()[0][:1]:
             raise InputError(
@@ -161,8 +161,8 @@ def settle(
         Distance in metres, as for `CollisionChecker.certify_edges`.
     off : ndarray, shape (N, dof + 3 growing), optional
         How far each value may deviate from the course at any fraction; FREE covers all such deviations. The last
-        columns bound how far points of bodies may deviate, in the form that the kernel takes. COLLIDING counts these
-        bounds as a margin, unless `as_given` is true.
+        columns bound how far points of bodies may deviate, in the form that the kernel takes. For COLLIDING, these
+        bounds count as a margin, unless `as_given` is true.
     clear : ndarray, shape (N,), optional
         Distances in metres that all pairs must keep on a motion in addition to their margins; COLLIDING then refers to
         these distances, too.

@@ -78,7 +78,7 @@ class Links(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all bodies; `points` are a hull's corners, or another piece's center and the three rows of its factor.
+    """Pieces of all bodies; `points` are the corners of a hull, or the center and the factor's rows of any other piece.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Placed(NamedTuple):
     ----------
     names : tuple of str
     link : ndarray of int64, shape (bodies,)
-        Numbers of links; -1 for the world.
+        Indices of the bodies' links; -1 for the world.
     turn, shift : ndarray, shapes (bodies, 3, 3) and (bodies, 3)
         Rotation and translation from the frame of each body to the frame of its link.
     pieces : Pieces
@@ -291,7 +291,7 @@ def _groups(links: Links, link: Ints) -> Ints:
 
 
 def pieces_of(packed: Packed) -> Pieces:
-    """List the pieces of packed bodies; surfaces, or parts of them, are the hulls of their corners."""
+    """List the pieces of packed bodies; surfaces, or their parts, are represented by the hulls of their corners."""
     kinds, corners = [], []
     for k, (kind, frame) in enumerate(zip(packed.layout[:, columns.KIND].tolist(), packed.frames, strict=True)):
         kinds.append(KINDS.index(kind) if kind in KINDS else HULL)
@@ -419,7 +419,7 @@ def contents(data: bytes) -> tuple[list[str], dict[str, Any]]:
 
 
 def differences(one: bytes, other: bytes) -> list[str]:
-    """Describe how the model of a proof differs from the expected one; the list is empty only for equal bytes."""
+    """Describe how the model of a proof differs from the expected model; the list is empty only for equal bytes."""
     if one == other:
         return []
     (_, has), (_, wanted), words = contents(one), contents(other), list[str]()

@@ -42,9 +42,9 @@ class Problem:
     Attributes
     ----------
     group : str
-        The family of the problem, such as "bookshelf_thin".
+        The group to which the problem belongs, such as "bookshelf_thin".
     index : int
-        Index of the problem within its family, as in the file.
+        Index of the problem within its group, as in the file.
     robot : str
         Name of the robot.
     joint_names : tuple of str

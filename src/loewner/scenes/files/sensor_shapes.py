@@ -96,7 +96,7 @@ def read_array(path: Path) -> Any:
     Raises
     ------
     FileError
-        If the file is missing, too large or of the wrong kind, or if it lacks a number.
+        If the file is missing, too large or of the wrong kind, or if a number is missing in it.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".xyz", ".txt", ".csv"):
