@@ -200,8 +200,8 @@ def mvie(
     Returns
     -------
     Fit
-        The fit; the stored ellipsoid lies exactly inside every given half-space, or inside the hull of the points,
-        despite rounding.
+        The fit; despite rounding, the stored ellipsoid lies inside every given half-space, or inside the hull of the
+        points, without any tolerance.
 
     Raises
     ------

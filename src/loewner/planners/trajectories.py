@@ -473,8 +473,8 @@ class Trajectory(KeepsReadOnly):
             knots. If the period of `rate` is shorter than ``spacing``, only every second or third row is written, or
             even fewer. `sample` returns all rows.
         message : bool
-            Whether a ``.json`` file contains a JointTrajectory message, like a ``.yaml`` file. `ControllerPoints.load`
-            reads such a message.
+            Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does.
+            `ControllerPoints.load` reads such a message.
 
         Raises
         ------
