@@ -239,8 +239,8 @@ def cover(robot: Robot, model: Robot, q: ArrayLike | None = None, *, ax: Any = N
     model : Robot
         A robot whose links have the same names, for instance from `Robot.with_cover`.
     q : array_like, shape (dof,), optional
-        The configuration. By default, the robot's state that sets the most joints, or zero for all joints if there are
-        no states, moved into the limits.
+        The configuration. By default, the robot's state that sets the most joints (zero for all joints if there are no
+        states), moved into the limits.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -431,8 +431,8 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
     Parameters
     ----------
     counts : mapping of str to Settled, or to mapping of str to int
-        For each group, the result of `CollisionChecker.tiers`, or your own counts, for instance of pairs, keyed by the
-        field names of `Settled`; omitted fields count as 0.
+        For each group, either the result of `CollisionChecker.tiers`, or your own counts (of pairs, for instance),
+        keyed by the field names of `Settled`; omitted fields count as 0.
     ax : matplotlib axes, optional
         Axes to draw into; a new figure by default.
 

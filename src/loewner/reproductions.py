@@ -1,4 +1,4 @@
-"""Turn a wrong answer about two convex bodies into a small program, without libraries, that proves the error."""
+"""Turn a wrong answer about two convex bodies into a small program that needs no libraries and proves the error."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def reproduction(
         Called as engine(corners_a, corners_b) with arrays of shapes (n, 3). It returns the other program's answers
         about these hulls at the same poses, in a dict keyed by names of parts. With an engine, the bodies are
         simplified: coordinates are rounded and corners are removed one by one, as long as the worst part remains wrong
-        in the same way. No answer may then be given as an argument.
+        in the same way. If an engine is passed, no answer may be passed as an argument.
 
     Returns
     -------

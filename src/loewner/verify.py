@@ -1,7 +1,7 @@
 """Check a file that proves motions collision-free, in integers and fractions, without the rest of the library.
 
 A file may also prove that pairs of bodies are free over ranges of the joints between them, or that two bodies collide.
-The module needs only Python's standard library, and runs alone: ``python verify.py plan.proof``. The page
+The module needs only Python's standard library, and can be run on its own: ``python verify.py plan.proof``. The page
 docs/proof-format.md describes the files, and shows why a file that passes is a proof.
 
 Lengths, sines and matrices are integers in units of 2^-72. The following bounds on rounding errors are in these units.
@@ -11,8 +11,8 @@ factors are in metres.
 - A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
   cosine is below 2: a tenth for the angle, a thousandth for the series, and 1 for the result. A joint's rotation is c +
   s e + (1 - c) e e, with the cosine c, the sine s and the axis e. The errors of the three terms are below 2, 3 and 4 in
-  each entry, and the sum adds 1. The matrix therefore has an error below 30. Multiplying by the fixed rotation and by
-  the parent's rotation increases the error to 41 for each link of the chain: ``TURN`` is larger.
+  each entry, and the sum adds 1. The matrix therefore has an error below 30. After the products with the fixed rotation
+  and with the parent's rotation, the error is at most 41 for each link of the chain; ``TURN`` is larger.
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8. The parent's
   rotation adds its own error times l, and rounding adds 2. For a chain of k links with the total length L, the error is
   at most E (L + 1), where E = TURN (k + 1).
@@ -68,32 +68,32 @@ class Report:
     Attributes
     ----------
     model, sizes : str, and dict of str to int
-        ``model`` is the SHA-256 of the model. ``sizes`` has the numbers of links, values, bodies, pieces, pairs proven
-        apart, planes, and intervals of pairs.
+        ``model`` is the SHA-256 of the model. ``sizes`` gives the numbers of links, values, bodies, pieces, pairs
+        proven apart, planes, and intervals of pairs.
     margins, deviations : (float, int), and tuple of (str, float)
-        ``margins`` has the usual margin, and the number of pairs with a different margin. ``deviations`` has the name
-        of each value, and how far the value may deviate.
+        ``margins`` contains the usual margin, and the number of pairs with a different margin. ``deviations`` gives the
+        name of each value, and how far the value may deviate.
     left_out, uncovered : tuple of (str, str), and of str
         ``left_out`` lists the pairs that the model exempts. ``uncovered`` lists the bodies whose interior is not
         covered by their pieces; the planes prove nothing about such an interior.
     points, motions : tuple of tuple of tuple of float, and tuple of (int, bool, bool, int)
-        ``points`` has the control points of each motion. ``motions`` has four entries for each motion: its degree,
-        whether it starts where the previous motion ends, whether its control points are within the limits of the
-        values, and the number of configurations at which planes were checked.
+        ``points`` contains the control points of each motion. ``motions`` contains four entries for each motion: its
+        degree, whether it starts where the previous motion ends, whether its control points are within the limits of
+        the values, and the number of configurations at which planes were checked.
     tightest, common : (str, str, int, Fraction, Fraction, float, Fraction) or None, and (str, str) or None
         ``tightest`` is the check that passes most narrowly: two bodies, a motion, the two ends of an interval, the
         margin, and the distance by which the check passes. If the file claims a common point, ``common`` names the two
         bodies that share it.
     rules, contacts : tuple of (str, str, int), and of (str, str, int, Fraction, Fraction, float)
         ``rules`` lists the pairs that may be in contact at the start (1) or at the end (2) of motions, or at both (3).
-        Each entry of ``contacts`` has two bodies, a motion, the two ends of an interval, and the least distance between
-        the bodies in metres, which is negative for an overlap.
+        Each entry of ``contacts`` contains two bodies, a motion, the two ends of an interval, and the least distance
+        between the bodies in metres, which is negative for an overlap.
     ranges : tuple of (str, str, float, tuple of (str, float, float, bool))
-        Each entry of ``ranges`` has two bodies, their margin in metres, and the values between the bodies; there are no
-        entries unless the file claims ranges. Each value has a name, the two ends of the range over which the bodies
-        are farther apart than the margin, and a flag. The flag is true if the range covers all numbers that the value
-        can have. With ``ranges``, the last five entries of ``tightest`` are the index of the pair, 0, 1, the margin,
-        and the distance by which the check passes.
+        Each entry of ``ranges`` contains two bodies, their margin in metres, and the values of the joints between the
+        bodies; there are no entries unless the file claims ranges. Each value has a name, the two ends of the range
+        over which the bodies are farther apart than the margin, and a flag. The flag is true if the range covers all
+        numbers that the value can have. With ``ranges``, the last five entries of ``tightest`` are the index of the
+        pair, 0, 1, the margin, and the distance by which the check passes.
     """
 
     model: str

@@ -196,7 +196,7 @@ class Candidates:
         self.depth = np.concatenate([self.depth, depth - lengths(axes) / parts])
 
     def add_points(self, points: Floats, around: Floats) -> None:
-        """Add points that must be covered, together with balls of the radii `around` about them."""
+        """Add points; the balls of the radii `around` about these points must be covered."""
         self.points = np.concatenate([self.points, np.column_stack([points, around])])
 
     def made(self, chosen: Ints, protrusion: float) -> Packed:

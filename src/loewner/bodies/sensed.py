@@ -22,7 +22,7 @@ MOST_CELLS = 2 ** (CELL_BITS - 1)
 
 
 def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
-    """Make one body of balls; each ball is a piece and its own inner and outer ellipsoid.
+    """Make one body of balls; each ball is a piece, and also this piece's inner and outer ellipsoid.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     """Make one body of axis-aligned boxes, each a polytope between its lower and its upper corner.
 
     The corners are exact, but centers and half edges are rounded. The outer ellipsoids therefore grow, and the inner
-    ellipsoids shrink, by this rounding relative to the shortest edge.
+    ellipsoids shrink, by the ratio of this rounding error to the shortest edge.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
 
 
 def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
-    """Make a body of one piece: equal balls around points, stored as a surface whose triangles are points."""
+    """Make a body of one piece: equal balls around points, stored as a surface whose triangles are single points."""
     triangles = np.repeat(np.arange(len(points))[:, None], 3, axis=1)
     return surface_pieces("points", points, triangles, radius, False, tol)
 
 
 def cells_of(points: Floats, edge: float) -> Ints:
-    """List the occupied cells of a grid with a corner at the origin, shape (k, 3), each cell once, in order."""
+    """List each occupied cell once and in order, shape (k, 3), for a grid with a corner at the origin."""
     cells = points / edge
     np.floor(cells, out=cells)
     farthest = float(np.abs(cells).max())

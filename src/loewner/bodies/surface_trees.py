@@ -86,7 +86,7 @@ class SurfaceTree:
         return sum(int(a.nbytes) for a in (*self._arrays, self.table))
 
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
-        """Compute centers and factors of ellipsoids around the parts below the root, after thickening by a radius.
+        """Compute centers and factors of ellipsoids around the parts below the root, which are thickened by a radius.
 
         The ellipsoids of the tree are in single precision. The radius is increased by the errors of this rounding.
         """

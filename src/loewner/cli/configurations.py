@@ -114,7 +114,7 @@ def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robo
 def one(text: str | None, name: str, options: argparse.Namespace, robot: loewner.Robot) -> Floats | None:
     """Read one configuration as `given` does; return None if `text` is None.
 
-    A state that does not name all joints causes a warning, since the others may be elsewhere.
+    A state that does not name all joints causes a warning, since the other joints may not be at the assumed value 0.
     """
     if text in robot.states:
         named = robot.states[text][1]

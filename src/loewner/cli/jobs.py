@@ -39,7 +39,8 @@ def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Generator
     tasks : sequence of dict
         The tasks, with values that JSON can represent.
     jobs : int
-        Largest number of processes at a time. Together, the processes use as many threads as this process may use.
+        Maximum number of processes that run at a time. Together, the processes use as many threads as this process may
+        use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()

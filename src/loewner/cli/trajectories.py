@@ -1,4 +1,4 @@
-"""Read trajectories from the files of any program, and let links carry bodies of the scene along them."""
+"""Read trajectories from files of any program, and let links carry bodies of the scene along these trajectories."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def carried(
 ) -> Iterator[Part]:
     """Yield each part while links carry its bodies.
 
-    A body that the same link carries in the next part keeps its pose in the link, also if the next part begins
+    A body that the same link carries in the next part keeps its pose in the link, even if the next part begins
     elsewhere. All other bodies stay at the poses that they have reached. Before links take the bodies of a part,
     `arrive` is called with the number of the part.
     """
@@ -115,7 +115,8 @@ def carried(
 def expect_grasps_in_place(robot: loewner.Robot, here: Floats, part: Part, bodies: Iterable[str]) -> None:
     """Refuse bodies that a message attaches to links when a part begins, unless the part begins where the robot is.
 
-    The link then has the body on the way to the first point, but the pose of the body in the link is unknown.
+    If a part begins elsewhere, the link carries the body on the way to the first point, but the pose of the body in the
+    link is unknown.
     """
     gap = float(np.abs(end(robot, part, 0) - here).max())
     for body in bodies:

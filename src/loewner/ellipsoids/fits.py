@@ -119,13 +119,13 @@ def mvce(
     -----
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
     with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. The
-    fit needs memory for a few numbers per point, for a copy of up to an eighth of the points, and up to 0.8 GB for the
-    interior-point method. For the paper's reduction to an inscribed ellipsoid, use `mvce_by_lifted_mvie` of
+    fit needs memory for a few numbers per point and for a copy of up to an eighth of the points; the interior-point
+    method needs up to 0.8 GB more. For the paper's reduction to an inscribed ellipsoid, use `mvce_by_lifted_mvie` of
     ``loewner.paper``.
 
     The weights form a D-optimal design of experiments at the points, for a linear model with a constant term
     (Titterington). That is, the weights maximise the determinant of the information matrix: the determinant's logarithm
-    is within twice the gap of the maximum. With ``center=0``, the model has no constant term.
+    is below its maximum by at most twice the gap. With ``center=0``, the model has no constant term.
 
     References
     ----------
@@ -200,8 +200,8 @@ def mvie(
     Returns
     -------
     Fit
-        The fit; the stored ellipsoid lies exactly inside every given half-space, or inside the hull of the points,
-        despite rounding.
+        The fit; despite rounding, the stored ellipsoid lies inside every given half-space, or inside the hull of the
+        points, without any tolerance.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Call NVIDIA's driver by ctypes: open a GPU, allocate its memory, run kernels, and explain errors.
+"""Call NVIDIA's driver through ctypes: open a GPU, allocate its memory, run kernels, and explain errors.
 
 The driver is the library that comes with the GPU's software, ``libcuda.so.1`` or ``nvcuda.dll``; the CUDA toolkit is
 not needed. When a `Device` is opened, the driver compiles the PTX of `loewner.gpu._ptx` for its GPU, and keeps the
@@ -177,7 +177,7 @@ class Device:
         self._run("cuEventDestroy_v2", event)  # the driver frees the event once the event has been reached
 
     def time(self) -> Any:
-        """Record a point in time on the stream, for `seconds`."""
+        """Record a point in time on the stream; `seconds` computes the time between two such points."""
         event = ctypes.c_void_p()
         self._run("cuEventCreate", ctypes.byref(event), 0)
         self._run("cuEventRecord", event, self._stream)

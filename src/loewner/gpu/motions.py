@@ -16,14 +16,14 @@ INTERVALS = 64  # entries of a list per motion; the probes of a motion need at l
 
 
 def slots(count: int) -> int:
-    """Return how many configurations of `count` motions are placed together at first."""
+    """Return how many configurations are placed together at first for `count` motions."""
     return 4 * count
 
 
 def certified(
     gpu: Device, tables: Tables, tile: Tile, dof: int, ends: tuple[int, ...], total: int
 ) -> tuple[Memory, Ints]:
-    """Return the verdicts of motions between two addresses, and the indices of motions that are left to the CPU."""
+    """Return verdicts of motions whose ends are at two addresses, and the indices of motions left to the CPU."""
     verdicts, left = gpu.memory(total), Left(gpu, total)
     run = _Run(gpu, tables, dof, tile, max(1, min(total, MOTIONS, BENDS // max(1, tables.chains))))
     for first in range(0, total, run.most):

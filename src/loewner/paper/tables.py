@@ -1,4 +1,4 @@
-"""Make tables 1 to 4, (a) and (b), next to the paper's own numbers, with a test of consistency."""
+"""Make tables 1 to 4, (a) and (b), next to the paper's own numbers, and test whether the numbers are consistent."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
     Returns
     -------
     counts : tuple of int
-        Counts in the order of `CLASSES`, determined by the estimate's checks, which are exact.
+        Counts in the order of `CLASSES`. The checks of the estimate, which are exact, determine the classes.
     p_value : float
     """
     _validate.instance(experiment, "experiment", Experiment, "loewner.paper")

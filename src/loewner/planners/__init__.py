@@ -1,13 +1,12 @@
 """Plan paths whose motions are proven free from start to goal, and make trajectories from the paths.
 
-Users call `planning` (plans, with the options of `searches`), `roadmaps`, `trajectories`, `velocity_tuning`,
-`coordination`, `gates`, `lines`, `pose_goals` and `controller_points`. `compiled` and `ompl_planners` search the joint
-space that `space` defines; `improving` and `clearing` make paths better; `in_time` plans among moving bodies;
-`departures` plans motions out of contact. `judge` decides whether a motion is free. `bases` plans for mobile bases:
-`drives` are sequences of arcs and turns, and `steering` connects two poses. `straights`, `jerk_limited`, `profiles` and
-`brakes` compute motions in time; `joint_limits` and `limit_use` handle the limits of joints. `kept_axes` and
-`kept_lines` check that motions keep an axis or a line; `trajectory_files`, `messages` and `controllers` read and write
-files.
+Users call `planning` (with the options in `searches`), `roadmaps`, `trajectories`, `velocity_tuning`, `coordination`,
+`gates`, `lines`, `pose_goals` and `controller_points`. `compiled` and `ompl_planners` search the joint space that
+`space` defines; `improving` and `clearing` make paths better; `in_time` plans among moving bodies; `departures` plans
+motions out of contact. `judge` decides whether a motion is free. `bases` plans for mobile bases: `drives` are sequences
+of arcs and turns, and `steering` connects two poses. `straights`, `jerk_limited`, `profiles` and `brakes` compute
+motions in time; `joint_limits` and `limit_use` handle the limits of joints. `kept_axes` and `kept_lines` check that
+motions keep an axis or a line; `trajectory_files`, `messages` and `controllers` read and write files.
 """
 
 from loewner.planners.bases import plan_drive

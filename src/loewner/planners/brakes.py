@@ -68,7 +68,7 @@ class Brakes(NamedTuple):
     def on_path(
         cls, rows: Floats, at: Floats, begins: Floats, strongest: Floats, jerk: Floats | None, *, beyond: bool
     ) -> Brakes:
-        """Stop on motions between rows, shape (k, dof), that are passed at the times `at`. Brakes begin at `begins`."""
+        """Stop on motions between rows, shape (k, dof); `at` are the times of the rows. Brakes begin at `begins`."""
         brakes, steep = cls._empty(len(begins), len(rows) + 4, rows.shape[1]), _steep(strongest, jerk)
         entries.brakes_on_path(*(np.array(x) for x in (rows, at, begins, strongest, steep)), beyond, *brakes)
         return brakes

@@ -122,7 +122,7 @@ def write(
 
 
 def files_of(listing: Any, target: Path, names: Sequence[str], moves: Sequence[bool]) -> dict[Path, list[int]]:
-    """For each listed controller that accepts trajectories, return its file and its columns of the trajectory.
+    """For each listed controller that accepts trajectories, return the file to write and its columns of the trajectory.
 
     Parameters
     ----------

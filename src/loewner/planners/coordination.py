@@ -78,8 +78,8 @@ def coordinate(
     -------
     ndarray, shape (k, dof)
         Configurations of all robots together. All straight motions between successive configurations are proven free.
-        For these steps and the joints' maximum velocities, the path is the fastest one; a value without a limit moves
-        at 1 rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
+        With these steps and the joints' maximum velocities, no other path is faster; a value without a limit moves at 1
+        rad/s or 1 m/s. `planners.trajectory` assigns times to the path.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def coordinate(
         If the robot has no part of this name.
     PlanningError
         If the starts or the ends are not free, or the robots cannot pass each other on these paths. The message names
-        the two bodies that meet where the search came farthest.
+        the two bodies that meet at the farthest point that the search reached.
 
     Notes
     -----

@@ -1,8 +1,8 @@
 """Define `Drive`, a sequence of arcs, straight lines and turns in place, for mobile bases.
 
-The engine proves polynomials, but an arc is not a polynomial. Each piece of an arc is replaced with the polynomial of
-degree 7 that agrees with the piece at both ends in position and three derivatives. The proof covers all configurations
-that deviate from the polynomial by no more than the arc does; docs/certified.md derives the bound.
+Proofs of motions apply to polynomials, but an arc is not a polynomial. Each piece of an arc is replaced with the
+polynomial of degree 7 that agrees with the piece at both ends in position and three derivatives. The proof covers all
+configurations that deviate from the polynomial by no more than the arc does; docs/certified.md derives the bound.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Arcs(NamedTuple):
     off : ndarray, shape (pieces, 3)
         How far the values may deviate from the courses.
     owner : ndarray of int, shape (pieces,)
-        The motion of each piece, in order.
+        Index of the motion to which each piece belongs, in order.
     begin : ndarray, shape (pieces,)
         The fraction of the motion at which each piece begins.
     """
@@ -84,8 +84,8 @@ class Drive(KeepsReadOnly):
         Configurations at which motions begin, and the last configuration. The base does not move straight between two
         configurations, so use `positions` to interpolate.
     motions : ndarray, shape (k, 2)
-        Length of each motion [m], negative for backwards, and its turn [rad], positive to the left. An arc has a length
-        and a turn; a straight line has no turn, and a turn in place has no length.
+        Length of each motion [m], negative for driving backwards, and its turn [rad], positive to the left. An arc has
+        a length and a turn; a straight line has no turn, and a turn in place has no length.
     columns : tuple of int
         The columns of x, y and theta.
     times : ndarray, shape (k + 1,)
@@ -179,7 +179,7 @@ class Drive(KeepsReadOnly):
 
     @property
     def turn(self) -> float:
-        """Sum of all turns to the left and to the right, in radians."""
+        """Sum of the sizes of all turns, to the left and to the right, in radians."""
         return float(np.abs(self.motions[:, 1]).sum())
 
     @property

@@ -64,7 +64,7 @@ class GateState(IntEnum):
     """How much of a chunk may be executed.
 
     GO: all targets. PREFIX: the first `GateAnswer.steps` targets. BRAKE: no targets, only the brake. INSIDE: no
-    targets, because nothing can be proven: the robot is already in contact, or nearer to a body than the margin.
+    targets; nothing can be proven, because the robot is already in contact, or nearer to a body than the margin.
 
     Examples
     --------
@@ -94,10 +94,10 @@ class GateAnswer(_validate.Brief):
         work is reached first, or if the reason is "limits".
     reason : str
         The reason why not all targets may be executed. "contact": the robot collides on the way to a target. "brake":
-        the robot collides while it brakes, or the chunk has no target beyond the latency. "may be hit": a collision is
-        possible only if a body is away from its given pose, or nothing could be proven near a contact. "limits": a
-        target is outside the limits or too fast. "budget": the limit on the work was reached. For GO, the reason is
-        empty.
+        the robot collides while it brakes, or the chunk has no target beyond the latency. "may be hit": no collision
+        was found, but a body away from its given pose or a deviation of the robot may cause one, or the robot is too
+        near contact for a proof. "limits": a target is outside the limits or too fast. "budget": the limit on the work
+        was reached. For GO, the reason is empty.
     names : tuple of str
         The pair of bodies, or the joint, to which the reason applies; empty if there is no such pair or joint.
     distance, normal : float, ndarray of shape (3,)
@@ -107,8 +107,8 @@ class GateAnswer(_validate.Brief):
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then. If the
         state is BRAKE, order this brake immediately.
     is_proven : bool
-        Whether ``brake`` is proven free. The brake is proven unless nothing was proven before, the robot has left the
-        proven tube, or the world has left its bounds.
+        Whether ``brake`` is proven free. This is the case whenever an earlier chunk was proven, the robot is still in
+        the proven tube, and the world is still within its bounds.
     work : int
         Number of steps that the proofs took; see `CollisionChecker.certify_edges`.
 
@@ -247,8 +247,8 @@ class Gate:
     velocity_error : float or array_like, shape (dof,)
         Rad/s or m/s by which the robot's velocity may differ from the chunk's velocity when the robot begins to brake.
     latency : float
-        Seconds between the order to brake and the beginning of the brake, in which the robot continues along the chunk.
-        The latency is rounded up to whole periods.
+        Seconds between the order to brake and the beginning of the brake; in the meantime, the robot continues along
+        the chunk. The latency is rounded up to whole periods.
     steps : int, optional
         Limit on the work of a check, in steps of the proofs (`CollisionChecker.certify_edges`). Default: no limit.
     acceleration, jerk : float or array_like, shape (dof,), optional
@@ -400,7 +400,7 @@ class Gate:
 
         See Also
         --------
-        CollisionChecker.certify_trajectory : Proves the chunk and one brake as curves, also among moving bodies.
+        CollisionChecker.certify_trajectory : Proves the chunk and one brake as curves, even among moving bodies.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Assign times to the motions of a path, and to the blends between motions, with limited jerk, by cubic polynomials.
+"""Use cubic polynomials to assign times, with limited jerk, to the motions of a path and to the blends between them.
 
 Along a motion, the speed follows a profile of phases with constant jerk. Across a corner, the velocity changes to the
 direction of the next motion in up to three phases: the acceleration grows, stays constant, and falls. The acceleration
@@ -67,7 +67,7 @@ class JerkLimited(NamedTuple):
 
     @classmethod
     def of(cls, rows: Floats, fastest: Floats, strongest: Floats, jerk: Floats) -> JerkLimited:
-        """Make the motions between rows within limits; each limit has shape (dof,)."""
+        """Make the motions between rows; each of the limits has shape (dof,)."""
         fastest, strongest, jerk = (limit * (1 - TO_ROUNDING) for limit in (fastest, strongest, jerk))
         straights = Straights.of(rows, fastest, strongest)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -57,7 +57,8 @@ class JointLimits(KeepsReadOnly):
     lower, upper : ndarray, shape (dof,)
         Limits of position [rad or m].
     velocity, acceleration, jerk : ndarray, shape (dof,)
-        Limits in rad or m per second, per second squared and per second cubed; infinite where there is no limit.
+        Limits of velocity [rad/s or m/s], acceleration [rad/s² or m/s²] and jerk [rad/s³ or m/s³]; infinite where there
+        is no limit.
 
     Examples
     --------
@@ -371,7 +372,7 @@ def beyond(values: Floats, lower: Floats, upper: Floats) -> Bools:
 
 
 def with_start(robot: Robot, columns: Ints, q: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Widen the columns' ranges to include a motion's start, and warn, if the start is within the hard limits."""
+    """If a motion's start is within the hard limits but outside the columns' ranges, warn and widen these ranges."""
     values = q[columns]
     hard = beyond(values, robot.hard_lower[columns], robot.hard_upper[columns])
     at = np.flatnonzero(beyond(values, lower, upper) & ~hard)

@@ -87,7 +87,7 @@ class Judge:
         return replace(self, ready=prepared_of(self.checker))
 
     def up_to(self, longest: float) -> Judge:
-        """Return a judge for the same state that can sample motions up to a given length.
+        """Return a judge that refers to the same state, and can sample motions up to a given length.
 
         Raises
         ------

@@ -250,12 +250,12 @@ def kept_lines(line: Any, rows: Floats) -> list[Line]:
 
 
 def chord_of(angle: float) -> float:
-    """Return the distance of a rotation by an angle from the identity, in the Frobenius norm."""
+    """Return how far a rotation by the given angle is from the identity, in the Frobenius norm."""
     return float(2 * np.sqrt(2) * _elementary.sin(angle / 2))
 
 
 def angle_of(chord: float) -> float:
-    """Return the angle of a rotation at a given distance from the identity, the inverse of `chord_of`."""
+    """Return the angle of a rotation at a given distance from the identity; `chord_of` is the inverse function."""
     return float(2 * _elementary.arcsin(min(chord / (2 * np.sqrt(2)), 1.0)))
 
 

@@ -47,7 +47,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Use(NamedTuple):
-    """How far a curve uses a joint's limit: the joint's value that comes closest to the limit, or exceeds it most.
+    """How much of a joint's limit a curve uses: the joint's value that comes closest to the limit, or exceeds it most.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class Use(NamedTuple):
     value, limit : float
         The value and its limit, in SI units. The limit is infinite if the joint has none.
     ratio : float
-        For a position, the distance from the middle of the range divided by half the range. For other quantities, the
-        absolute value divided by the limit. The ratio is 0 if there is no limit.
+        For a position, its distance from the middle of the range, divided by half the length of the range. For other
+        quantities, the absolute value divided by the limit. The ratio is 0 if there is no limit.
     time : float
         Time at which the value occurs, in seconds.
     unit : str
@@ -86,7 +86,7 @@ class Jump(NamedTuple):
 
 
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
-    """Return how far a curve uses the limits of each joint. Without times, only position limits are compared.
+    """Return how much of each joint's limits a curve uses; without times, only for limits of position.
 
     The curve has the robot's columns. Position limits are the hard limits, unless the file of `limits` changes them.
     """
@@ -207,7 +207,7 @@ def _share(way: float, half: float) -> float:
 
 
 def extremes(points: Floats, times: Floats) -> Ends:
-    """Return the least and the greatest value of polynomials with control points of shape (n, k), with their times."""
+    """Return the least and the greatest value of polynomials, each with its time; `points` are control points."""
     (low, when_low), (high, when_high) = _greatest(-points, times), _greatest(points, times)
     return (-low, when_low), (high, when_high)
 

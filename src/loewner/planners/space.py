@@ -1,4 +1,4 @@
-"""Define the space that planners search, of the moving joints and their limits, and check starts and goals."""
+"""Define the space that planners search (the moving joints and their limits), and check starts and goals."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Space:
         return Q
 
     def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Shift the unlimited turning joints of Q1 by whole turns, as near to the values of Q0 as possible."""
+        """Bring the unlimited turning joints of Q1 as near to the values of Q0 as possible, by whole turns."""
         if not self.turning.any():
             return Q1
         at = self.columns[self.turning]

@@ -257,7 +257,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., dof)
-            Velocities in radians or metres per second.
+            Velocities [rad/s or m/s].
 
         Examples
         --------
@@ -292,7 +292,7 @@ class Trajectory(KeepsReadOnly):
         Returns
         -------
         ndarray, shape (..., dof)
-            Accelerations in radians or metres per second squared.
+            Accelerations [rad/s² or m/s²].
 
         Examples
         --------
@@ -360,7 +360,7 @@ class Trajectory(KeepsReadOnly):
         return times, self.positions(times), self.velocities(times), self.accelerations(times)
 
     def to_drake(self, robot: Robot) -> Any:
-        """Convert the trajectory of a robot from `Robot.from_drake` to Drake. Columns are in the order of the plant.
+        """Convert the trajectory to Drake, for a robot from `Robot.from_drake`. Columns are in the order of the plant.
 
         Parameters
         ----------
@@ -445,8 +445,8 @@ class Trajectory(KeepsReadOnly):
         Parameters
         ----------
         path : path
-            A ``.csv`` file has a column ``time``, and a column of positions and a column ``NAME velocity`` for each
-            joint. If the jerk is limited, it also has a column ``NAME acceleration`` for each joint. The column
+            A ``.csv`` file has a column ``time`` and, for each joint, a column of positions and a column ``NAME
+            velocity``. If the jerk is limited, it also has a column ``NAME acceleration`` for each joint. The column
             ``blend`` is 1 if the robot cuts a corner between this row and the next. `load` reads ``.csv`` and ``.json``
             files. A ``.yaml`` file contains a ROS ``trajectory_msgs/JointTrajectory`` with the positions and velocities
             at whole nanoseconds. Each row is moved to the nearest nanosecond, rows at the same nanosecond are merged,
@@ -473,8 +473,8 @@ class Trajectory(KeepsReadOnly):
             knots. If the period of `rate` is shorter than ``spacing``, only every second or third row is written, or
             even fewer. `sample` returns all rows.
         message : bool
-            Whether a ``.json`` file contains a JointTrajectory message, like a ``.yaml`` file. `ControllerPoints.load`
-            reads such a message.
+            Whether a ``.json`` file contains a JointTrajectory message, as a ``.yaml`` file does.
+            `ControllerPoints.load` reads such a message.
 
         Raises
         ------
@@ -606,12 +606,13 @@ class Trajectory(KeepsReadOnly):
             ``"path"``: the robot stays on the path of the trajectory, and stops as soon as the limits of all joints
             allow. It does not brake on blends. ``"joints"``: each joint brakes independently (see `brake`).
         acceleration, jerk : float or array_like, shape (dof,), optional
-            Limits [rad/s² and rad/s³, or m/s² and m/s³]. Default: from `limits`. Without a jerk limit, accelerations
-            jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be at least as high as the
-            trajectory's limits, and jerk limits must be given if and only if the trajectory has them.
+            Limits of acceleration [rad/s² or m/s²] and of jerk [rad/s³ or m/s³]. Default: from `limits`. Without a jerk
+            limit, accelerations jump. With ``how="path"`` and a trajectory from `trajectory`, the limits must be at
+            least as high as the trajectory's limits, and jerk limits must be given if and only if the trajectory has
+            them.
         limits : JointLimits, optional
         beyond : bool
-            Whether the robot may continue straight after the end of a trajectory that ends in motion.
+            Whether the robot may continue in a straight line beyond the end of a trajectory that ends in motion.
 
         Returns
         -------
@@ -896,8 +897,8 @@ def trajectory(
     line : str, Line or iterable, optional
         One or several links that stay on straight lines, for example on a path from `straight`. If you give a name, the
         link keeps a line on the whole path, within 0.1 mm and 1 mrad. With a `Line`, you can set the rows of the path
-        and the tolerances. The link provably stays within the tolerances at every instant, also on blends. The robot
-        stops at the ends of a line.
+        and the tolerances. The link provably stays within the tolerances at every instant, including on blends. The
+        robot stops at the ends of a line.
 
     Returns
     -------
@@ -962,7 +963,8 @@ def trajectory(
 def blends_of(motions: Straights | JerkLimited, judge: Judge, share: float, kept: Sequence[KeptLine] = ()) -> Floats:
     """Choose a blend size for each corner, such that all blends are proven and the motion is as fast as possible.
 
-    A blend takes up to a given share of the motions. Blends on `kept` lines keep these lines.
+    At either end of a motion, a blend takes at most the given share of the motion. Blends on `kept` lines keep these
+    lines.
     """
     halves = np.zeros(max(len(motions.straights.rows) - 2, 0))
     return _shortest(motions, _proven_blends(judge, motions, share, kept)) if share and len(halves) else halves
@@ -1016,7 +1018,7 @@ def brake(
 
     See Also
     --------
-    Trajectory.stop_at : Brakes on the path of a trajectory, and joint by joint.
+    Trajectory.stop_at : Brakes on the path of a trajectory, or joint by joint.
 
     Notes
     -----
@@ -1051,7 +1053,7 @@ def checked_rows(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def expect_straight(robot: Robot, name: str = "robot") -> None:
-    """Refuse an argument `name` that is not a robot whose joint values change linearly along motions."""
+    """Raise an error unless the argument `name` is a robot whose joint values change linearly along motions."""
     _validate.instance(robot, "robot", Robot)
     if not robot.runs_straight:
         raise InputError(

@@ -50,7 +50,7 @@ class Measure:
         return function
 
     def no_second_derivatives(self) -> InputError:
-        """Return the error for second derivatives: if zeros were returned instead, the mistake would go unnoticed."""
+        """Return the error for second derivatives: returning zeros instead would hide the caller's mistake."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"

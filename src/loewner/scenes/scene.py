@@ -348,8 +348,8 @@ class Scene:
         Raises
         ------
         FileError
-            If a file is missing, damaged or not grey, a key is missing or unknown, or a threshold is not between 0 and
-            1.
+            If a file is missing, damaged or not greyscale, a key is missing or unknown, or a threshold is not between 0
+            and 1.
         InputError
             If the height is not positive.
         MissingExtraError
@@ -607,7 +607,7 @@ class Scene:
         since: float | None = None,
         error: ArrayLike | None = None,
     ) -> None:
-        """Let a body follow a motion, such as a part on a conveyor, a door, or an object whose path a tracker predicts.
+        """Let a body, such as a part on a conveyor, a door or an object whose path a tracker predicts, follow a motion.
 
         From then on, queries of a `CollisionChecker` need times, and its proofs of the robot's motions take the body's
         motion into account. A checker does not check the scene's bodies against each other; `pairs` does.
@@ -627,8 +627,8 @@ class Scene:
             body waits at the first pose before the motion, and at the last pose after the motion.
         twist : array_like, shape (6,), optional
             Velocity of the body's origin [m/s] and angular velocity [rad/s], both in the world's frame, and constant
-            between two `times`; `poses` is then the first pose, shape (4, 4). The origin moves along a straight line,
-            and the body turns about its origin, so the motion is not a screw motion about another axis.
+            between two `times`; with a twist, `poses` is only the first pose, shape (4, 4). The origin moves along a
+            straight line, and the body turns about its origin, so the motion is not a screw motion about another axis.
         speed, turn : float
             Bounds on how fast the body departs from this motion [m/s, rad/s], such as 1.6 m/s for a person. At time t,
             the body's origin deviates by at most speed · \\|t - since\\|, and its orientation by at most turn · \\|t -
@@ -868,8 +868,9 @@ class Scene:
         The rule applies to motions and to whole curves (see `CollisionChecker.certify_edges` and
         `CollisionChecker.certify_trajectory`). Suppose that a motion or curve starts with the two bodies in contact, or
         within their margin. The motion is FREE if two conditions are proven. First, on an initial stretch, the contact
-        does not worsen by more than the tolerance of the proof: no two pieces penetrate each other deeper than at the
-        start or, within the margin, come nearer. Second, on the rest of the motion, the bodies keep their margin.
+        does not worsen by more than the tolerance of the proof: no two pieces penetrate each other more deeply than at
+        the start, and pieces that are apart but within their margin come no nearer. Second, on the rest of the motion,
+        the bodies keep their margin.
 
         The bodies have parted once their distance exceeds their margin by a ten-thousandth of the robot's reach; the
         initial stretch ends before they come near again. To find this end, distances are measured at several places
@@ -1007,7 +1008,7 @@ class Scene:
                     self._lowered.add(key)
 
     def widen(self, least: float) -> None:
-        """Raise the margins of all pairs with a body of this scene to at least `least`, but no margins between links.
+        """Raise margins to at least `least` for all pairs with a body of this scene, but not the margins between links.
 
         Parameters
         ----------
@@ -1082,7 +1083,7 @@ class Scene:
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self, time: float | None = None) -> tuple[Contact, ...]:
-        """List all pairs of bodies in the world that touch, overlap or come within their margin, without allowed pairs.
+        """List all pairs of bodies in the world that touch, overlap or come within their margin, except allowed pairs.
 
         Parameters
         ----------

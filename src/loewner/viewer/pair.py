@@ -47,7 +47,7 @@ def show_pair(
         Distance in metres that the bodies must keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
         The meshes from which the bodies were made, in the frames of the bodies. The meshes form a separate layer, which
-        is hidden at first, because the pieces are checked and not the meshes. A body without a mesh shows its pieces in
+        is hidden at first, because the pieces are checked, not the meshes. A body without a mesh shows its pieces in
         this layer.
     host : str
         Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With

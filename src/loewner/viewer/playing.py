@@ -117,7 +117,7 @@ class Executed:
     given
         The curve that was passed.
     duration, start_time : float
-        Seconds, as for `Path`. The start time includes the first time of the curve.
+        Seconds, as for `Path`. The start time is the curve's first time plus the curve's own start time, if it has one.
     """
 
     def __init__(self, robot: Robot, given: Any) -> None:
@@ -174,7 +174,7 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory | Executed:
 
 
 def found_along(checker: CollisionChecker, way: Way) -> Ints:
-    """Return the verdict at each of LOOKS evenly spaced times from start to end. An unsettled one is AMBIGUOUS."""
+    """Return the verdicts at LOOKS evenly spaced times from start to end; an unsettled verdict is AMBIGUOUS."""
     times = np.linspace(0.0, way.duration, LOOKS)
     ready = prepared_of(checker, timed=True)
     Q = np.ascontiguousarray(with_bodies(ready, way.positions(times), way.start_time + times))
@@ -187,7 +187,7 @@ class Proof(NamedTuple):
     Attributes
     ----------
     times : ndarray, shape (n + 1,)
-        Seconds since the start at which the parts begin and end.
+        Times, in seconds since the start, at which the parts begin and end.
     verdicts : ndarray of int, shape (n,)
         The verdict for each part. FREE holds at every instant. An AMBIGUOUS part has no proof.
     fractions : ndarray, shape (n,)

@@ -21,7 +21,7 @@ STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
 
 def blocks(rows: Floats) -> Iterator[tuple[slice, Floats]]:
-    """Yield rows in blocks, each block with its slice of the rows."""
+    """Yield blocks of rows, each with the slice that selects it."""
     return ((some, rows[some]) for some in slices(len(rows), BLOCK // rows.shape[1]))
 
 

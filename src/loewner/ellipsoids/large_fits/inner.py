@@ -310,13 +310,13 @@ def proven(
 
     The factor is scaled block by block, as in `_kernels.fits.mvie.inscribe`.
 
-    For the gap, let T be the computed product of A and the factor L, whose rows are each off by at most `hidden` of
-    their length. Let d be the slacks, t = λᵀd, M = Σ λ T Tᵀ / |T| with trace τ and least eigenvalue μ, and r = Lᵀ Σ λ
-    a, which is not quite zero. A point x with T x <= d has |x| <= 2 t / (μ - |r|), because μ |x| <= Σ λ |T x| <= 2 t +
-    |r| |x|. Any ellipsoid F inside, about c, therefore has tr(F M) <= t + |r| |c|, and its log-volume exceeds the
-    ball's by at most n log((t + |r| |c|) / n) - log det M. Rounding changes M by at most τ times the sum of 2.1
-    `hidden` and √n (k + n + 10) u in the nuclear norm. Because r is multiplied by n², rounding errors of r would be too
-    large, so the sum in r is computed exactly.
+    For the gap, let T be the computed product of A and the factor L; each row of T is off by at most `hidden` of its
+    length. Let d be the slacks, t = λᵀd, M = Σ λ T Tᵀ / |T| with trace τ and least eigenvalue μ, and r = Lᵀ Σ λ a,
+    which is not quite zero. A point x with T x <= d has |x| <= 2 t / (μ - |r|), because μ |x| <= Σ λ |T x| <= 2 t + |r|
+    |x|. Any ellipsoid F inside, about c, therefore has tr(F M) <= t + |r| |c|, and its log-volume exceeds the ball's by
+    at most n log((t + |r| |c|) / n) - log det M. Rounding changes M by at most τ times the sum of 2.1 `hidden` and √n
+    (k + n + 10) u in the nuclear norm. Because r is multiplied by n², rounding errors of r would be too large, so the
+    sum in r is computed exactly.
 
     If the center is given (not `balanced`), c = 0 and λ is used unchanged.
     """

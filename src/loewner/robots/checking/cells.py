@@ -32,8 +32,8 @@ def save(path: str | os.PathLike[str], robot: Robot, scene: Scene, ready: Proble
     ------
     InputError
         If bodies of the scene follow motions, since programs that read the file cannot pass a time. If bodies have
-        inexact poses, since the file has no bounds on errors. If the robot has no joints, a margin is larger than
-        `MOST_MARGIN`, or a name contains a NUL.
+        inexact poses, since the file cannot contain bounds on errors. If the robot has no joints, a margin is larger
+        than `MOST_MARGIN`, or a name contains a NUL.
     """
     if ready.margins.max(initial=scene.margin) > MOST_MARGIN or robot.dof == 0:
         raise InputError(f"expected joints, and margins of at most {MOST_MARGIN:g} m, found none or larger ones")

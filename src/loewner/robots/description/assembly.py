@@ -317,7 +317,7 @@ def with_body(
     velocity : float, optional
         Largest rate of a joint with one value [rad/s or m/s], for trajectories. By default the rate is unknown.
     mimic : (str, float, float), optional
-        The name of a joint of the robot that the new joint follows, a multiplier and an offset; only for a joint with
+        The name of the existing joint that the new joint follows, a multiplier and an offset; only for a new joint with
         one value. The limits of the followed joint are narrowed to values at which the new joint is within its own
         limits.
 
@@ -411,7 +411,7 @@ def _coupled(robot: Any, followed: str, multiplier: float, offset: float) -> Any
 
 
 def with_moving_bodies(self: R, names: Sequence[str]) -> R:
-    """Add a floating joint and a link without a body for each name, after the robot's own joints and links."""
+    """For each name, add a floating joint and a link without a body, after the robot's own joints and links."""
     joints = [Joint(f"{name} in the scene", "floating", "", "", np.eye(4)) for name in names]
     chains = [_chain(self, f"{joint.name}/world", [joint]) for joint in joints]
     robot: Any = self

@@ -66,7 +66,7 @@ def link_bodies(
     ----------
     robot : Description
     package_dirs : sequence of path
-        Folders of packages, or packages themselves.
+        Folders that contain packages, or the folders of the packages themselves.
     model : str
         Representation of meshes, one of `MODELS`.
     tol : float

@@ -39,7 +39,7 @@ class Terms(NamedTuple):
     margin, limits, scene, boxes
         See `Robot.prove_pairs`.
     only_free : bool
-        Omit the least distances of pairs that are not NEVER.
+        Omit the least distances of pairs whose verdict is not NEVER.
     """
 
     margin: float

@@ -113,7 +113,7 @@ class Chain(NamedTuple):
 
     @property
     def moving(self) -> Bools:
-        """Mark the values that move."""
+        """Mark the values that the search may change."""
         return np.asarray(self.ranges[columns.HOW] != columns.HELD)
 
 
@@ -127,7 +127,7 @@ def chain(tree: Tree, link: int, moves: Bools, limits: Floats, usual: Floats) ->
     moves : ndarray of bool, shape (dof,)
         Columns of the joints that may move.
     limits, usual : ndarray, shape (2, dof)
-        Limits of the values, which are infinite for values without limits, and finite limits for seeds.
+        `limits` are the limits of the values, infinite for values without limits; `usual` are finite limits for seeds.
     """
     path = links_above(tree, link)[::-1]
     kinds, firsts = tree.kind[path], tree.column[path]
@@ -216,7 +216,7 @@ def seeded(chain: Chain, count: int) -> Floats:
 
 
 def checked_tolerance(tolerance: ArrayLike) -> Floats:
-    """Check the tolerances of six coordinates, and convert angles to 2 sin(angle / 2), as the kernel takes them."""
+    """Check the tolerances of six coordinates, and convert angles to 2 sin(angle / 2), which the kernel takes."""
     tolerances = _validate.float_array(tolerance, "tolerance")
     if tolerances.shape != (6,) or not (tolerances >= 0).all():
         raise InputError(
@@ -229,7 +229,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Floats:
 
 
 def targets_of(T: Floats) -> Floats:
-    """Make rotations of poses orthonormal up to rounding; they may be off by `tolerances.ROTATION_TOLERANCE`."""
+    """Make the rotations of poses, which may be off by `ROTATION_TOLERANCE`, orthonormal up to rounding."""
     for _ in range(3):
         R = T[..., :3, :3]
         square = product(R.swapaxes(-1, -2), R)
@@ -316,7 +316,7 @@ class Solutions(NamedTuple):
         return cls(Q[order], poses, free[order])
 
     def choose(self, Q: Floats, reached: Bools) -> None:
-        """Write the first solution of each pose that has solutions into Q, and whether it is free into `reached`."""
+        """For each pose that has solutions, write the first one into Q, and whether it is free into `reached`."""
         having, first = np.unique(self.poses, return_index=True)
         Q[having], reached[having] = self.Q[first], self.free[first]
 

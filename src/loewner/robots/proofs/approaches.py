@@ -1,9 +1,10 @@
 """Bound a robot's least distance from contact on each piece of a curve: from below by proofs, from above by samples.
 
 First, each piece is sampled. A proof of the piece as a motion then tries to show that every pair keeps at least the
-smallest sampled distance minus one hundredth. If the proof fails, it names a time at which a pair is nearer, and a
-descent from this time finds a smaller distance for the next proof. Where the robot collides, no separating planes
-exist. Such pieces are divided into parts until points move less within each part than the two bounds may differ.
+smallest sampled distance minus one hundredth of this distance. If the proof fails, it names a time at which a pair is
+nearer, and a descent from this time finds a smaller distance for the next proof. Where the robot collides, no
+separating planes exist. Pieces with a collision are divided into parts until the movement of points within each part is
+below the allowed difference between the two bounds.
 """
 
 from __future__ import annotations
@@ -123,8 +124,8 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
     Parameters
     ----------
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-        As for `certify_trajectory`. Bodies that follow motions move at the same times; pieces also end where such a
-        body changes its rates.
+        As for `certify_trajectory`. Bodies that follow motions move at the same time as the robot; pieces also end
+        where the velocity of such a body changes.
     t0 : float, optional
         Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
@@ -216,7 +217,7 @@ class Measured(NamedTuple):
 
 
 def along(checker: Any, curve: Curve, unproven: Ints) -> Measured:
-    """Measure a curve from `curves.proven`; `unproven` are the numbers of the pieces that are not proven free."""
+    """Measure a curve from `curves.proven`; `unproven` lists the pieces that are not proven free."""
     ready: Problem = checker._ready(timed=bool(checker.scene.following)).as_given
     whole, allowed = cut_in_time(checker.robot, ready, curve), dict[Pair, ClosestApproach]()
     if len(ready.ruled) < len(ready.pairs):
@@ -247,7 +248,7 @@ def worst(checker: Any, given: Any) -> ClosestApproach:
 
 
 def contacts(ready: Problem, curve: Curve, pieces: Ints, approach: ClosestApproach) -> Floats:
-    """Find when collisions on the given pieces begin and end, as far as samples show; margins count as contact.
+    """Find when collisions on given pieces begin and end, as far as samples show; a pair within its margin collides.
 
     Returns
     -------

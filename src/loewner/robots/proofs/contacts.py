@@ -138,7 +138,7 @@ class Stage(NamedTuple):
         The pair or, on a stretch of contact, its pieces and the planes behind which the pieces must not go.
     run : Run
     tolerance : float
-        Distance in metres from an allowed contact or margin at which the proof may already fail.
+        The proof may fail if the pair comes within this distance [m] of an allowed contact or of its margin.
     least : float or None
         On a stretch of contact, the signed distance at which the pair collides; None elsewhere.
     """

@@ -2,9 +2,9 @@
 
 Only the joints between two bodies matter, so the search space is small. A box of configurations, with one range for
 each value, is proven by the kernel that proves motions: the longest side of the box is the motion, and the other sides
-are deviations of values from the motion. Boxes that are not proven are halved. A pair that collides in every
-configuration is proven by its depth: two convex pieces meet in a whole box if they overlap more deeply than any of
-their points moves within the box. See docs/certified.md, "Pairs over whole ranges".
+are deviations of values from the motion. Boxes that are not proven are halved. Depths prove that a pair collides in
+every configuration: two convex pieces meet in a whole box if the depth of their overlap exceeds the distance that any
+of their points moves within the box. See docs/certified.md, "Pairs over whole ranges".
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ _NO_TREE = records.Tree(_NONE, _NONE, _NONE, np.empty(0), np.empty(0), np.empty(
 
 
 class Contact(NamedTuple):
-    """A contact of the format: the motion, the index of the pair, the end, the length 2^-k, and the least distance."""
+    """A contact in the proof format: the motion, the pair's index, the end, the length 2^-k, and the least distance."""
 
     motion: int
     pair: int
@@ -130,7 +130,7 @@ def _expect_tree(ready: Problem, model: Model, motion: int, tree: bytes | Failed
 
 
 def still(model: Model, room: float, normal: Floats | None = None) -> bytes | None:
-    """Make the tree for two static bodies, with a gap that exceeds the margin by `room` times all lengths.
+    """Make the tree for two static bodies, with a gap that exceeds the margin by `room` times the size of the model.
 
     If `normal` is given, in world axes and from the first body to the second one, it is tried before other normals. If
     planes that the format can express do not separate the bodies, the result is None.
