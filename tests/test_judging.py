@@ -372,6 +372,16 @@ def test_bad_bodies_are_refused():
         reproduction(box, None, box, None, depth=1.0, engine=lambda a, b: {})
 
 
+def test_many_answers_are_refused_unjudged(monkeypatch):
+    """A program is about one answer; to judge 700,000 first would take many seconds."""
+    monkeypatch.setattr("loewner.reproductions.judge_answers", None)
+    box = Body.box([1, 1, 1])
+    with pytest.raises(InputError, match=r"expected one answer about one pair, found shape \(100000, 7\)"):
+        reproduction(box, None, box, None, depth=np.zeros((100_000, 7)))
+    with pytest.raises(InputError, match=r"expected one answer about one pair, found shape \(2, 3\)"):
+        reproduction(box, None, box, None, witness_a=np.zeros((2, 3)))
+
+
 # -- loewner judge --answers --------------------------------------------------------------------
 
 

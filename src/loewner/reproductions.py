@@ -15,7 +15,7 @@ from loewner._base._rotations import pose_of
 from loewner._base._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.errors import GeometryError, InputError
-from loewner.judging import PARTS, POINT, Finding, Judgement, judge_answers
+from loewner.judging import PARTS, POINT, VECTORS, Finding, Judgement, judge_answers
 from loewner.queries import pairs as queries
 
 # Answers of another program, keyed by the names of arguments of `judging.judge_answers`.
@@ -162,12 +162,19 @@ def reproduction(
             raise InputError(f"engine: expected no answers beside it, found {', '.join(answers)}")
         corners, answers = _reduced(corners, poses, engine, tolerance)
     bodies = [Body.from_points(points) for points in corners]
+    for name, value in answers.items():  # Many answers are refused before they are judged, which takes seconds.
+        if isinstance(value, np.ndarray) and value.ndim > (name in VECTORS):
+            raise _not_one(value.shape)
     said = judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
     if said.kinds.ndim > 1:
-        raise InputError(f"expected one answer about one pair, found shape {_validate.shape_text(said.lower.shape)}")
+        raise _not_one(said.lower.shape)
     if not said.wrong:
         raise InputError(f"expected an answer that is proven wrong, found {_names(said)}")
     return _written(bodies, corners, poses, answers, said)
+
+
+def _not_one(shape: tuple[int, ...]) -> InputError:
+    return InputError(f"expected one answer about one pair, found shape {_validate.shape_text(shape)}")
 
 
 def _corners(body: Any, name: str) -> Floats:
