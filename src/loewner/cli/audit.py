@@ -54,7 +54,7 @@ controller: between two points a joint trajectory controller follows a straight 
   this curve at every real time.
 
 nearest: the exact distance, or the depth, at the worst moment that was found, and a bound that is proven for every
-  moment. If the distance and the bound are not within a hundredth or 10 µm of each other, the output says so.
+  moment. If the two differ by more than 10 µm and by more than a hundredth of the distance, the output says so.
 
 limits: the extreme positions, velocities, accelerations and jerk of the curve, at whichever time they are reached, are
   compared with the limits of the URDF or of --limits. Files without velocities have corners, which are named.

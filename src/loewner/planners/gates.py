@@ -107,8 +107,8 @@ class GateAnswer(_validate.Brief):
         The brake to execute after `steps` targets (and the gate's `latency`) if no new answer arrives by then. If the
         state is BRAKE, order this brake immediately.
     is_proven : bool
-        Whether ``brake`` is proven free. This is the case whenever an earlier chunk was proven, the robot is still in
-        the proven tube, and the world is still within its bounds.
+        Whether ``brake`` is proven free. As a rule, this is the case if an earlier chunk was proven, the robot is still
+        in the proven tube, and the world is still within its bounds; `Gate.check` describes an exception.
     work : int
         Number of steps that the proofs took; see `CollisionChecker.certify_edges`.
 
