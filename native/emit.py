@@ -473,8 +473,8 @@ def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) 
     """Order the entries for a process: two processes share the first group, from its beginning and from its end.
 
     The second process also takes the other groups in reverse order, so that both processes meet as late as possible.
-    Each further process begins at another group. Processes that need the same functions at the same time would wait for
-    each other.
+    Further processes begin at the other groups in turn. Processes that need the same functions at the same time would
+    wait for each other.
     """
     step = -1 if number % 2 else 1
     if number < 2:

@@ -42,7 +42,7 @@ from loewner import (
 )
 from loewner.queries import pairs as queries
 from loewner.robots.checker import prepared_of
-from loewner.robots.checking import edges
+from loewner.robots.checking import distances, edges
 from loewner.robots.checking.verdicts import lengths
 from sampling import quick_of
 
@@ -322,6 +322,11 @@ def test_pairs_and_distances(seed, bodies, tmp_path):
     between = found.distance[:, None] * found.normal
     np.testing.assert_allclose(found.witness_b - found.witness_a, between, atol=1e-9)
     for k, q in enumerate(Q):
+        # This is the way if the fast searches fail.
+        distance, pair, x, y, normal = distances._nearest_with_care(checker._ready(), q)
+        assert distance == pytest.approx(found.distance[k], abs=1e-9)
+        assert (pair >= 0).all()
+        np.testing.assert_allclose(y - x, distance * normal, atol=1e-9)
         contacts = checker.pairs(q)
         assert {(c.name_a, c.name_b) for c in contacts} == {
             checker.checked_pairs[p] for p in np.flatnonzero(hits[:, k])

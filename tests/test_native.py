@@ -192,7 +192,7 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
 
 
 def test_processes_begin_at_different_places(emit):
-    """Two begin at the ends of the first group, which is soon complete; the others begin at groups behind it."""
+    """Two begin at the ends of the first group, which is soon complete; the others begin at the groups in turn."""
     groups = {"first": [*"ab"], "second": [*"cd"], "third": ["e"], "last": [*"fg"]}
     orders = ["".join(emit.in_order(groups, number, ("last",))) for number in range(7)]
     assert orders == ["abcdefg", "baedcgf", "cdabfge", "bagfedc", "fgecdab", "edcbagf", "cdabfge"]

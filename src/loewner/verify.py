@@ -11,8 +11,8 @@ factors are in metres.
 - A double, and each entry of a fixed rotation or of an axis, has a rounding error below 1. The error of a sine or
   cosine is below 2: a tenth for the angle, a thousandth for the series, and 1 for the result. A joint's rotation is c +
   s e + (1 - c) e e, with the cosine c, the sine s and the axis e. The errors of the three terms are below 2, 3 and 4 in
-  each entry, and the sum adds 1. The matrix therefore has an error below 30. After the products with the fixed rotation
-  and with the parent's rotation, the error is at most 41 for each link of the chain; ``TURN`` is larger.
+  each entry, and the sum adds 1. The matrix therefore has an error below 30. Including the products with the fixed
+  rotation and with the parent's rotation, each link of the chain adds at most 41 to the error; ``TURN`` is larger.
 - A link is at its parent's position plus a rotated step of length l. The step has an error below 3 l + 8. The parent's
   rotation adds its own error times l, and rounding adds 2. For a chain of k links with the total length L, the error is
   at most E (L + 1), where E = TURN (k + 1).

@@ -51,7 +51,8 @@ class Phase(NamedTuple):
 def duration(halves: Floats, speeds: Sequence[float], profiles: Iterable[Iterable[Phase]]) -> float:
     """Add up the durations [s] of all phases and blends.
 
-    A blend takes 2 h / v, where h is half the length of the blend, and v is the speed at its corner.
+    A blend takes 2 h / v, where h is its half, in seconds at full speed from its beginning to its corner, and v is the
+    speed at the corner, as a share of full speed.
     """
     blends = sum(2 * half / speed for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True) if half)
     return float(blends + sum(phase.seconds for profile in profiles for phase in profile))

@@ -1,4 +1,4 @@
-"""Connect poses (x, y, heading) by drivable ways: Reeds-Shepp or Dubins paths, or straight ways with turns in place.
+"""Connect poses (x, y, heading) by drivable ways: Reeds-Shepp or Dubins paths, or straight lines with turns in place.
 
 A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. The base drives
 and turns at constant rates, so a motion is an arc of a circle, a straight line, or a turn in place.

@@ -176,22 +176,14 @@ def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
     """Return whether the distance between two triangles is at most `reach`."""
     if meet(a, b):
         return True
-    if reach == 0:
-        return False
-    squared = reach * reach
-    for one, other in ((a, b), (b, a)):
-        for p in one:
-            if any(_to_segment(p, other[k], other[(k + 1) % 3]) <= squared for k in range(3)):
-                return True
-            height = _to_face(p, other)
-            if height is not None and height <= squared:
-                return True
-    for i in range(3):
-        for j in range(3):
-            apart = _between_lines(a[i], a[(i + 1) % 3], b[j], b[(j + 1) % 3])
-            if apart is not None and apart <= squared:
-                return True
-    return False
+    edges_a, edges_b = ([(t[k], t[(k + 1) % 3]) for k in range(3)] for t in (a, b))
+    squares = itertools.chain(
+        (_to_segment(p, *edge) for p in a for edge in edges_b),
+        (_to_segment(p, *edge) for p in b for edge in edges_a),
+        (_to_face(p, t) for one, t in ((a, b), (b, a)) for p in one),
+        (_between_lines(*one, *other) for one in edges_a for other in edges_b),
+    )
+    return reach > 0 and any(square is not None and square <= reach * reach for square in squares)
 
 
 def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:

@@ -70,7 +70,7 @@ class CollisionChecker:
         that `pairs_by_sampling` returns.
     skip_adjacent : bool, optional
         Skip pairs of links that are connected by a joint, since most such links overlap by design. By default, these
-        pairs are skipped only if the robot was read without an SRDF, since an SRDF usually disables them.
+        pairs are skipped only if the robot has no disabled pairs or rules for pairs, as an SRDF or an MJCF file gives.
 
     Raises
     ------

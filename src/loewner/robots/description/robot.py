@@ -127,7 +127,7 @@ class Robot(KeepsReadOnly):
         limits.
     velocity, acceleration, jerk : ndarray, shape (dof,)
         Upper limits on the velocity [rad/s or m/s], the acceleration [rad/s² or m/s²] and the jerk [rad/s³ or m/s³] of
-        each value: the URDF's limits, or lower limits if a mimicking joint would otherwise exceed its own limit. NaN if
+        each value: the URDF's limits, or lower values if a mimicking joint would otherwise exceed its own limit. NaN if
         the URDF gives no positive limit, and for planar and floating joints. Only URDF 1.2 has acceleration and jerk
         limits.
     bodies : dict

@@ -1,10 +1,10 @@
 """Bound a robot's least distance from contact on each piece of a curve: from below by proofs, from above by samples.
 
 First, each piece is sampled. A proof of the piece as a motion then tries to show that every pair keeps at least the
-smallest sampled distance minus one hundredth of this distance. If the proof fails, it names a time at which a pair is
-nearer, and a descent from this time finds a smaller distance for the next proof. Where the robot collides, no
-separating planes exist. Pieces with a collision are divided into parts until the movement of points within each part is
-below the allowed difference between the two bounds.
+smallest sampled distance minus one hundredth of this distance, or minus 10 µm if that is more. If the proof fails, it
+names a time at which a pair is nearer, and a descent from this time finds a smaller distance for the next proof. Where
+the robot collides, no separating planes exist. Pieces with a collision are divided into parts until the movement of
+points within each part is below the allowed difference between the two bounds.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ def closest(self: Any, curve: Any, *, t0: float | None = None) -> ClosestApproac
     Parameters
     ----------
     curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
-        As for `certify_trajectory`. Bodies that follow motions move at the same time as the robot; pieces also end
-        where the velocity of such a body changes.
+        As for `certify_trajectory`. The curve's times are also the times of the motions that bodies follow; pieces also
+        end where the velocity of such a body changes.
     t0 : float, optional
         Offset in seconds that is added to the curve's times, as for `certify_trajectory`.
 
