@@ -43,6 +43,9 @@ COLLIDE_BYTES, LIST_BYTES = 3, 16
 # Poses of one or more bodies, as a caller passes them.
 Poses = ArrayLike | None
 
+# The row numbers of chosen pairs, as a caller passes them.
+Rows = ArrayLike | None
+
 # The shape of an array.
 Lengths = tuple[int, ...]
 
@@ -328,12 +331,11 @@ def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> 
 # fmt: off
 @overload
 def classify(
-    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    margin: float = ..., pairs: ArrayLike | None = ...,
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, margin: float = ..., pairs: Rows = ...,
 ) -> Verdicts: ...
 @overload
 def classify(
-    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, margin: float = ..., pairs: Rows = ...,
 ) -> Verdicts: ...
 @overload
 def classify(
@@ -345,7 +347,7 @@ def classify(
 ) -> Verdicts: ...
 @overload
 def classify(
-    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, margin: float = ..., pairs: Rows = ...,
 ) -> VerdictOrVerdicts: ...
 # fmt: on
 def classify(
@@ -355,7 +357,7 @@ def classify(
     T_world_b: Poses,
     *,
     margin: float = 0.0,
-    pairs: ArrayLike | None = None,
+    pairs: Rows = None,
 ) -> VerdictOrVerdicts:
     """Compute the certified verdict for two bodies from their ellipsoids alone.
 
@@ -416,12 +418,12 @@ def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, c
 @overload
 def collide(
     a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+    method: str = ..., margin: float = ..., pairs: Rows = ...,
 ) -> Bools: ...
 @overload
 def collide(
     a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
-    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+    method: str = ..., margin: float = ..., pairs: Rows = ...,
 ) -> Bools: ...
 @overload
 def collide(
@@ -434,8 +436,7 @@ def collide(
 ) -> Bools: ...
 @overload
 def collide(
-    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
-    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, method: str = ..., margin: float = ..., pairs: Rows = ...,
 ) -> BoolOrBools: ...
 # fmt: on
 def collide(
@@ -446,7 +447,7 @@ def collide(
     *,
     method: str = "exact",
     margin: float = 0.0,
-    pairs: ArrayLike | None = None,
+    pairs: Rows = None,
 ) -> BoolOrBools:
     """Decide whether two bodies touch, overlap, or come within `margin` of each other.
 
@@ -517,23 +518,19 @@ def decided(
 # fmt: off
 @overload
 def distance(
-    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, exact: Literal[False] = ..., pairs: Rows = ...,
 ) -> Bounds[Floats]: ...
 @overload
 def distance(
-    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    exact: Literal[True], pairs: ArrayLike | None = ...,
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, exact: Literal[True], pairs: Rows = ...,
 ) -> Measured[Floats]: ...
 @overload
 def distance(
-    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
-    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, exact: Literal[False] = ..., pairs: Rows = ...,
 ) -> Bounds[Floats]: ...
 @overload
 def distance(
-    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
-    exact: Literal[True], pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, exact: Literal[True], pairs: Rows = ...,
 ) -> Measured[Floats]: ...
 @overload
 def distance(
@@ -550,23 +547,19 @@ def distance(
 ) -> Bounds[Floats]: ...
 @overload
 def distance(
-    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    exact: Literal[True], pairs: ArrayLike,
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, exact: Literal[True], pairs: ArrayLike,
 ) -> Measured[Floats]: ...
 @overload
 def distance(
-    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
-    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, exact: Literal[False] = ..., pairs: Rows = ...,
 ) -> Bounds[FloatOrFloats]: ...
 @overload
 def distance(
-    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
-    exact: Literal[True], pairs: ArrayLike | None = ...,
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, exact: Literal[True], pairs: Rows = ...,
 ) -> Measured[FloatOrFloats]: ...
 @overload
 def distance(
-    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
-    exact: bool, pairs: ArrayLike | None = ...,
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, exact: bool, pairs: Rows = ...,
 ) -> Distance: ...
 # fmt: on
 def distance(
@@ -576,7 +569,7 @@ def distance(
     T_world_b: Poses,
     *,
     exact: bool = False,
-    pairs: ArrayLike | None = None,
+    pairs: Rows = None,
 ) -> Distance:
     """Compute proven bounds on the signed distance of two bodies and, with ``exact=True``, the distance itself.
 

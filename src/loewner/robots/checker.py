@@ -486,26 +486,14 @@ class CollisionChecker:
 
     @overload
     def certify_trajectory(
-        self,
-        curve: list[Any] | tuple[Any, ...],
-        *,
-        tolerance: float = ...,
-        joint_error: ArrayLike = ...,
-        t0: float | None = ...,
-        steps: int | None = ...,
-        proof: bool = ...,
-    ) -> tuple[CertifiedTrajectory, ...]: ...
+        self, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., joint_error: ArrayLike = ...,
+        t0: float | None = ..., steps: int | None = ..., proof: bool = ...,
+    ) -> tuple[CertifiedTrajectory, ...]: ...  # fmt: skip
     @overload
     def certify_trajectory(
-        self,
-        curve: Any,
-        *,
-        tolerance: float = ...,
-        joint_error: ArrayLike = ...,
-        t0: float | None = ...,
-        steps: int | None = ...,
-        proof: bool = ...,
-    ) -> CertifiedTrajectory: ...
+        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ...,
+        t0: float | None = ..., steps: int | None = ..., proof: bool = ...,
+    ) -> CertifiedTrajectory: ...  # fmt: skip
     def certify_trajectory(
         self,
         curve: Any,

@@ -26,24 +26,13 @@ _ball = functools.lru_cache(maxsize=8)(Body.sphere)
 
 @overload
 def off_the_robot(
-    self: Any,
-    points: ArrayLike,
-    q: ArrayLike,
-    *,
-    clear: float = ...,
-    time: float | None = ...,
-    mask: Literal[False] = ...,
-) -> Floats: ...
+    self: Any, points: ArrayLike, q: ArrayLike, *,
+    clear: float = ..., time: float | None = ..., mask: Literal[False] = ...,
+) -> Floats: ...  # fmt: skip
 @overload
 def off_the_robot(
-    self: Any,
-    points: ArrayLike,
-    q: ArrayLike,
-    *,
-    clear: float = ...,
-    time: float | None = ...,
-    mask: Literal[True],
-) -> Bools: ...
+    self: Any, points: ArrayLike, q: ArrayLike, *, clear: float = ..., time: float | None = ..., mask: Literal[True],
+) -> Bools: ...  # fmt: skip
 def off_the_robot(
     self: Any, points: ArrayLike, q: ArrayLike, *, clear: float = 0.03, time: float | None = None, mask: bool = False
 ) -> Floats | Bools:  # fmt: skip
