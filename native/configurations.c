@@ -62,7 +62,7 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Largest number of steps of a motion: memory for more results is not worth keeping for each thread. */
+/* Maximum number of steps of a motion. Memory for the results of more steps is not worth keeping for each thread. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* The function math.dist. */
