@@ -226,7 +226,7 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Store where a proof failed, unless the proof would succeed with more work. */
+/* Return where a proof failed, unless the proof only reached its limit on work. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
@@ -614,7 +614,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         TRY(collide(its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    /* In this motion the robot stays in place; its proof shows which pair collides. */
+    /* In this motion the robot stays in place; the proof of the motion shows which pair collides. */
     TRY(certify(its, still, 1, 2, 0, gate->tolerance, 0, gate->steps, &verdict));
     proof->pair = *its->found_pairs;
     proof->reason = LOEWNER_REASON_CONTACT;
