@@ -223,7 +223,7 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     const char *found = dlsym(handle, "loewner_build");
     if (found == NULL || strcmp(found, build) != 0) {
         PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
-        dlclose(handle); /* after the message, which quotes a string of the library */
+        dlclose(handle); /* The library is closed only now, because the message quotes one of its strings. */
         return NULL;
     }
     Library *library = new_object(type);

@@ -62,7 +62,7 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Largest number of steps of a motion: memory for more results is not worth keeping for each thread. */
+/* Maximum number of steps of a motion. Memory for the results of more steps is not worth keeping for each thread. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* The function math.dist. */
@@ -101,8 +101,8 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* Return the number of configurations of a motion that were checked, negative if the last ones collide; 0 if Python's
-   general code has to answer. */
+/* Return the number of configurations of a motion that were checked, or minus this number if the last ones collide; 0
+   if Python's general code has to answer. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);

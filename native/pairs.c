@@ -209,7 +209,7 @@ static PyObject *vector_of(const double *entries)
     return array;
 }
 
-/* Return a field of a Distance, by its place; None if the field was not requested. */
+/* Return the field at a given index of a Distance; None if the field was not requested. */
 static PyObject *field_of(const Found *found, int place, int wanted)
 {
     if (place >= VALUE && !wanted)

@@ -1,6 +1,7 @@
 /* The parts of Numba's run time that kernels need: reference-counted memory. The layout of a description is Numba's
-   (numba/core/runtime/nrt.cpp). Compiled code updates the count itself, and calls NRT_MemInfo_call_dtor when the count
-   reaches zero. `tests/test_native.py` compares the layout with the layout of the installed Numba. */
+   (numba/core/runtime/nrt.cpp). Compiled code updates the reference count itself, and calls NRT_MemInfo_call_dtor when
+   the reference count reaches zero. `tests/test_native.py` compares the layout with the layout of the installed
+   Numba. */
 
 #include "system.h"
 
@@ -16,7 +17,7 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Number of descriptions that were made but not given back. The number is zero while no kernel runs, see
+/* Number of descriptions that were allocated and not yet freed. The number is zero while no kernel runs, see
    `tests/test_native.py`. */
 EXPORTED size_t loewner_held;
 

@@ -42,13 +42,14 @@ typedef struct {
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* `pieces` is the largest number of times in a brake. */
+    int64_t dof, most, steps, pieces; /* A brake has at most `pieces` times. */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
     /* Vectors of `dof` numbers; times of ticks (`at`); and the brake. */
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at;
     double *times, *states, *courses, *seconds, *out[3];
-    /* How many pieces and rows the brake in the arrays has, including the row before the first one. */
+    /* Number of times in the brake's arrays, and index of the row by which the brake ends; index 0 is the row before
+       the chunk. */
     int64_t pieces_made, rows_needed;
     Chunk last, made, slower;
     uint64_t structure; /* Serial number of the scene when the last chunk was made. */
@@ -143,7 +144,7 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Make the parts of a gate whose own memory exists already. */
+/* Set up a gate whose own memory has already been allocated. */
 static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
 {
     TRY(make_room(gate));
@@ -225,7 +226,7 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Store where a proof failed, unless the proof would succeed with more work. */
+/* Return where a proof failed, unless the proof only reached its limit on work. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
@@ -255,10 +256,10 @@ static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
     return holds;
 }
 
-/* Find the ticks that agree with a measured state, one per call and the nearest first, among the ticks from..to of the
-   last chunk. Return the next such tick; -1 if no more ticks agree. Several ticks agree if the robot is slow. The tick
-   of the present time comes first, even if the world is at rest. `off` and `tick` have the values of the previous call;
-   for the first call, both are -1. */
+/* Find a tick of the last chunk, in the range from..to, that agrees with a measured state; -1 if no such tick is left.
+   Each call returns one tick, and several ticks agree if the robot is slow. The tick of the present time comes first,
+   even if the world is at rest, and the other ticks follow, the nearest first. `off` and `tick` have the values of the
+   previous call; for the first call, both are -1. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -294,7 +295,8 @@ static void write_rates(const loewner_gate *gate, Chunk *chunk)
         chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
 }
 
-/* Append new targets to the last chunk, counted from one of its ticks, if the targets continue the chunk unchanged. */
+/* If the targets continue the last chunk unchanged from one of its ticks, make a chunk that keeps the proofs from this
+   tick on, with the new targets at its end; return whether they do. */
 static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
 {
     const Chunk *last = &gate->last;
@@ -394,8 +396,8 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Try to prove a whole brake as one course with at most `steps` steps; if nothing is near, the proof takes one
-   interval. The robot may come to rest as late as `until` seconds after the brake began. */
+/* Try to prove a whole brake as one course, in at most `steps` steps. If nothing is near, one interval suffices. The
+   robot may come to rest as late as `until` seconds after the brake began. */
 static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t points, double until, int64_t steps,
                                   Proof *proof, int *is_free)
 {
@@ -412,9 +414,9 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t poin
     return LOEWNER_OK;
 }
 
-/* Prove the most recent brake, which begins at a given time; `rate` is its velocity, or NULL if the robot brakes on the
-   path. A robot that is faster by the velocity error travels farther and comes to rest later. A joint-by-joint brake is
-   first proven as one course, in at most `steps` steps. */
+/* Prove the most recent brake, which begins at a given time with the velocity `rate`; if the robot brakes on the path,
+   `rate` is NULL. A robot that is faster by the velocity error travels farther and comes to rest later. A
+   joint-by-joint brake is first proven as one course, in at most `steps` steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
@@ -436,7 +438,7 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, const double
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL || pieces > 1) {
-        /* First check the end, where long brakes fail most often, because no interval has to be halved there. */
+        /* First check the end: long brakes fail there most often, and this check halves no interval. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
@@ -452,7 +454,8 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, const double
     return prove_course(gate, gate->courses, points, gate->widened, end, begin + stands, proof);
 }
 
-/* Prove the motions, then the brake that begins at the end of each motion. Stop at the first that is not free. */
+/* Prove the motions, then the brake that begins at the end of each motion. Stop at the first motion or brake that is
+   not free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;
@@ -492,7 +495,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
         int64_t end = gate->on_path ? gate->rows_needed - 1 : tick;
-        /* The proofs of the motions cover the brake at all times. */
+        /* If no body is known by bounds, the proofs of the motions hold at all times, and so for a brake on them. */
         int is_covered = gate->on_path && growing == 0 && end <= chunk->motions;
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick,
@@ -586,8 +589,8 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk, or prove again a chunk that continues the last one; both start from the last command. A pair that
-   is not free at the robot's position becomes the result of the proof. */
+/* Begin a new chunk, or prove again a chunk that continues the last one; both start from the last command. If a pair is
+   not free at the robot's position, `proof` receives this pair. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, int64_t late, Proof *proof)
 {
@@ -611,7 +614,7 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         TRY(collide(its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    /* In this motion the robot stays in place; its proof shows which pair collides. */
+    /* In this motion the robot stays in place; the proof of the motion shows which pair collides. */
     TRY(certify(its, still, 1, 2, 0, gate->tolerance, 0, gate->steps, &verdict));
     proof->pair = *its->found_pairs;
     proof->reason = LOEWNER_REASON_CONTACT;
@@ -664,7 +667,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    if (gate->wants_scale && may_scale && count > late) /* Otherwise, slower motions would meet the same obstacle. */
+    /* Unless `may_scale` is true, slower motions would meet the same obstacle. */
+    if (gate->wants_scale && may_scale && count > late)
         TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
         adopt(gate);

@@ -55,7 +55,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     return LOEWNER_OK;
 }
 
-/* Arguments that pass two views to kernels, with the plan for their n pairs, an array of five integers. */
+/* Arguments that pass two views to kernels, and the plan (an array of five integers) for the n pairs. */
 #define PLAN(n, a, b) {(n), (a).step, (a).pose_step, (b).step, (b).pose_step}
 #define VIEWS(numbers, a, b)                                                                                           \
     .plan = {numbers, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \

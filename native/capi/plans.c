@@ -22,7 +22,7 @@ typedef struct {
 /* A search in the form that kernels take, and its memory. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values; `joints` values move. */
+    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, and `joints` of them move. */
     int64_t *columns, *turning;
     double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals. */
     size_t goal_count;
@@ -34,7 +34,7 @@ static void leave_search(Search *search)
     free((void *)search->arrays.trees.data);
 }
 
-/* Try to prove that n motions are free. `at` receives the first motion that is not proven free, or -1. */
+/* Try to prove that n motions are free. `at` receives the index of the first motion that is not proven free, or -1. */
 static loewner_status are_free(const Judge *judge, const double *starts, const double *ends, size_t n, int64_t *at)
 {
     loewner_workspace *workspace = judge->workspace;

@@ -326,7 +326,7 @@ static void straight(const File *file, const double *a, const double *b, double 
     size_t size = sizeof(double) * (size_t)file->dof;
     memcpy(course, a, size);
     memcpy(course + file->dof, b, size);
-    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q: the one nearer to p. */
+    for (int64_t c = 0; c < file->quaternion_count; c++) { /* Take q or -q, depending on which is nearer to p. */
         const double *p = a + file->quaternions[c];
         double *q = course + file->dof + file->quaternions[c];
         if (p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] < 0)
@@ -335,7 +335,7 @@ static void straight(const File *file, const double *a, const double *b, double 
     }
 }
 
-/* Return an elementary function of a number, with the same bits as in Python. */
+/* Return the value of an elementary function, with the same bits as in Python. */
 static double elementary(int64_t function, double x)
 {
     double result = NAN;
@@ -406,7 +406,7 @@ loewner_status certify(loewner_workspace *workspace, const double *courses, int6
     memset(verdicts, as_given, (size_t)count);
     for (int64_t k = 0; k < count; k++)
         workspace->work[WORK * k + WORK - 1] = steps;
-    /* `clear` is omitted, because bodies may be as near as their margins. */
+    /* `clear` is omitted, because pairs need not keep more distance than their margins. */
     return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, dof},
                 .off = {workspace->off, width > 0 ? count : 0, width}, .tolerance = tolerance, MOTIONS(half),
                 .out = {verdicts, count}, .t_out = {workspace->fractions, count},
@@ -514,7 +514,8 @@ loewner_status take_errors(const loewner_checker *checker, const double **joint_
     return LOEWNER_OK;
 }
 
-/* Check options, and replace omitted options by their defaults. Times are used only if both are given. */
+/* Check options, and replace omitted options by their defaults. The times `t0` and `t1` are used only if both are
+   given. */
 static loewner_status take_options(const loewner_checker *checker, const loewner_proof_options *options,
                                    loewner_proof_options *taken)
 {

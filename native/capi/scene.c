@@ -74,7 +74,7 @@ static loewner_status join(const loewner_checker *checker, State *state, Cutting
 
 /* -- links --------------------------------------------------------------------------------------------------------- */
 
-/* Write the product of a link's constant pose and another pose as the constants of a link. */
+/* Multiply a link's constant pose by another pose, and write the product as the constants of a link. */
 static void place_link(const double *constants, const double *pose, double *made)
 {
     for (int r = 0; r < 3; r++)
@@ -119,7 +119,7 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
 
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
-/* Return the row of a table that begins with two bodies, a < b; -1 if there is no such row. */
+/* Return the index of the row that begins with the bodies a and b, where a < b; -1 if the table has no such row. */
 static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
     for (int64_t k = 0; k < count; k++)
@@ -128,7 +128,7 @@ static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t
     return -1;
 }
 
-/* Return whether the bodies and their pairs are exactly the file's, and all bodies are present. */
+/* Return whether the bodies and their pairs are exactly as in the file, and all bodies are present. */
 static int is_as_saved(const loewner_checker *checker)
 {
     int is = checker->body_count == checker->file->bodies && checker->rule_count == 0;

@@ -112,7 +112,7 @@ class _Cache(NullCache):
     in memory.
     """
 
-    failure: OSError | None = None  # The reason why the last attempt to write failed.
+    failure: OSError | None = None  # The error of the last attempt that failed to write a file.
 
     # The parts compiled in this process. Equal functions share a part, because its name would otherwise be defined
     # twice.
@@ -219,8 +219,8 @@ class _Stored(CPUDispatcher):
         arguments, _ = normalize_signature(sig)
         if tuple(arguments) in self.overloads:
             return self.overloads[tuple(arguments)].entry_point
-        # Take the lock before the claim. Otherwise, a thread with a claim could wait for the lock, while the thread
-        # with the lock waits for the claim.
+        # Take the lock before the claim. Otherwise, a thread that holds the claim could wait for the lock while the
+        # thread that holds the lock waits for the claim.
         with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
             return super().compile(sig)
 
@@ -279,8 +279,8 @@ class _Callable(_Stored):
 
 def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
-        # Functions made by the same factory share a name. Numba distinguishes them by numbers that restart in each
-        # process, but parts from two processes must not be confused.
+        # Functions made by the same factory share a name. Numba distinguishes them by numbers. These numbers restart in
+        # each process, so parts from different processes could be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     _store.expect_as_read(function.__module__)

@@ -148,7 +148,8 @@ class PartLibrary(_FusedLibrary):
 
 RUNTIME = "Numba's run time"
 
-_read: dict[str, PartLibrary] = {}  # Parts by key: two libraries that define the same functions cannot be linked.
+# Parts by key. Each key has only one object, because two libraries that define the same functions cannot be linked.
+_read: dict[str, PartLibrary] = {}
 
 
 def library_of(codegen: Any, key: str) -> PartLibrary:
@@ -256,7 +257,7 @@ class PartCompiler(Compiler):
         context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
         self.state.library = PartLibrary(context.codegen(), func.__qualname__)
         self.state.library.home = func.__module__
-        # Do the same as Numba, except for the name: Numba numbers functions anew in each process.
+        # Proceed like Numba, except for the function's name, because Numba numbers functions anew in each process.
         identity = FunctionIdentity.from_function(func)
         identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
         self.state.func_id = identity

@@ -24,10 +24,11 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# A file that was not used for KEPT seconds is removed. A file in use is marked as used at most once in DAY seconds.
+# A file that was not used for KEPT seconds is removed. The use of a file is recorded at most once every DAY seconds.
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
-# Any kernel may depend on these modules without importing them, because argument types select vector operations.
+# Any kernel may depend on these modules even if it does not import them, because the types of its arguments select
+# vector operations.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)

@@ -18,8 +18,8 @@ MOST_INTERVALS = 7 * 2**16
 # planners use.
 MOST_POINTS = 8
 
-# Outcomes of a search on two pieces: no result (UNSETTLED), proven apart, proven touching, the distance is final, the
-# cores overlap, the depth is final.
+# Outcomes of a search on two pieces: no result (UNSETTLED), pieces proven apart, pieces proven to touch, final
+# distance, overlapping cores, final depth.
 UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEPTH_FOUND = 0, 1, 2, 3, 4, 5
 
 CERTIFY, EXACT = 0, 1
@@ -33,7 +33,7 @@ UNSURE = TIERS  # UNSURE is not a tier: `certificate.certify` returns it if a be
 # Faults of a pose.
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
-# Methods for finding the near points of two ellipsoids, and their outcomes.
+# Methods for finding the near points of two ellipsoids, and their possible outcomes.
 RIMON_BOYD, LIN_HAN, CENTER_LINE = 0, 1, 2
 SEPARATE, OVERLAP, UNCONVERGED = 0, 1, 2
 

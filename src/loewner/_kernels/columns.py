@@ -36,8 +36,8 @@ CACHE_LINE = 64  # A cache line has CACHE_LINE bytes.
 # A polytope with more than LARGE vertices is MAPPED. For a smaller polytope, searching all vertices is as fast as using
 # a map.
 LARGE = 128
-# Limit on the divisions of a cell. Without a limit, the divisions at a flat face would never end, because all vertices
-# of the face share the cells around its normal.
+# Largest depth to which cells are divided. Without a limit, the division would never end at a flat face, because all
+# vertices of the face share the cells around its normal.
 DEEPEST = 14
 GRID = 1 << DEEPEST
 
@@ -92,8 +92,8 @@ TREE_ROWS = 5  # The memory of both trees has TREE_ROWS rows in addition to the 
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------
 
-# Columns of a joint's int64 row, which also has KIND_OF_LINK and COLUMN_OF_LINK from above, and columns of the joint's
-# row of constants.
+# Columns of a joint's int64 row, and columns of its row of constants. The int64 row also has the columns KIND_OF_LINK
+# and COLUMN_OF_LINK from above.
 MOVES_OF_LINK, LINK_OF_CHAIN = 0, 3
 AXIS, CHAIN_CONSTANTS = LINK_CONSTANTS, LINK_CONSTANTS + 3
 

@@ -206,9 +206,9 @@ class MotionTables(NamedTuple):
 # Types of the arrays of `MotionTables`, in the notation of `entries`.
 MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
 
-# The table of `MotionTables` follows the table of a `Problem`. PROBLEM_ROWS and MOTION_ROWS are the rows of the arrays
-# in both tables, and MOTIONS is the byte at which `MotionTables` begins. TABLE is the number of words of both tables,
-# which fill whole cache lines.
+# The table of `MotionTables` follows the table of a `Problem`. PROBLEM_ROWS and MOTION_ROWS give the row of each array
+# in these tables, and MOTIONS is the byte at which the table of `MotionTables` begins. TABLE is the number of words of
+# both tables, which fill whole cache lines.
 PROBLEM_ROWS = {name: row for row, name in enumerate((*Tree._fields, *Problem._fields[1:]))}
 MOTION_ROWS = {name: row for row, name in enumerate(MotionTables._fields, len(PROBLEM_ROWS))}
 MOTIONS = 8 * ENTRIES * len(PROBLEM_ROWS)

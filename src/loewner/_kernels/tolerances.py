@@ -15,7 +15,7 @@ POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B6
 # float32 (about 1e-7 for each product), but no intended scale or shear.
 ROTATION_TOLERANCE = 1e-6
 
-# Lengths, bounds and their sums are rounded up in single precision by the factor UP.
+# In single precision, the factor UP rounds up lengths, bounds and their sums.
 UP = 1.0 + 2.0**-22  # certified.md B8
 
 # Bound on the error of centers after they are rounded to single precision, relative to the lengths from which they are
@@ -38,6 +38,6 @@ STRETCH = 1e-5  # certified.md B29
 # Squares of lengths below LEAST_SQUARE have lost digits, so dividing by their roots does not give a unit vector.
 LEAST_SQUARE = 1e-290
 
-LEAST = 1e-15  # LEAST is a length far below all others, which keeps squares from underflowing.
+LEAST = 1e-15  # LEAST, a length far below all others, keeps squares from underflowing.
 
 PAPER_ANGLE = 0.01  # The paper's tolerance for Lin-Han [rad].

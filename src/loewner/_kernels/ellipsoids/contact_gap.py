@@ -74,7 +74,7 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # For thin ellipsoids, the polynomials' coefficients have lost digits; for needles, they have lost all digits. The
+    # For thin ellipsoids, the polynomials' coefficients have lost digits; for needles, no correct digit is left. The
     # search therefore continues with slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):

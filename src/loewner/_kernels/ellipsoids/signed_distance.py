@@ -55,7 +55,7 @@ MAX_SECULAR = 60  # The secular equation usually takes 4 or 5 steps.
 # choices, not bounds: they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 16.0  # Ratio between the distances of successive intervals from the minimum, in log r.
+GROWTH = 16.0  # In log r, each interval ends GROWTH times as far from the minimum as the previous one.
 _STACK = 160
 
 # The proof by an inner ellipsoid requires that M - h s is positive definite by a margin. The margin is SPARE times h s,

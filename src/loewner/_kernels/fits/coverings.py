@@ -15,11 +15,12 @@ WORD = 64
 # A candidate takes ROWS numbers: its center, its axis, the inverse squared length of the axis, and its radius.
 ROWS = 8
 
-# An exchange compares the candidates that hold one point, by a sample of about SEEN missed points.
+# An exchange compares all candidates that hold a chosen point. About SEEN missed points serve as a sample for this
+# comparison.
 SEEN = 128
 
-# STEPS_EACH is the largest number of exchanges for each initially chosen candidate. A candidate may be dropped again
-# WAITS exchanges after its last change.
+# STEPS_EACH is the largest number of exchanges for each initially chosen candidate. A candidate should not be dropped
+# again sooner than WAITS exchanges after its last change.
 STEPS_EACH, WAITS = 50, 3
 
 # Stride through the missed points; it is a prime number.

@@ -294,8 +294,8 @@ def spread_points(points, flatness, chosen, origin, frame):
     size = 0.0  # Largest coordinate; its rounding error affects every width.
     widest = 0.0
     for j in range(n):
-        # Take the coordinate axis that the basis covers least so far, and make it orthogonal to the basis, twice,
-        # because one pass loses digits.
+        # Take the coordinate axis that the basis covers least so far. Make this axis orthogonal to the basis in two
+        # passes, because a single pass loses digits.
         longest = -1.0
         axis = 0
         for k in range(n):

@@ -284,7 +284,7 @@ def _factor(place, A):
         return False
     for j in range(n):
         normal_solve(K, C[j], p)
-    # Compute P = (2 y h ∘ T - Y A)ᵀ, whose row i is (y/z) (h a_i - Cᵀ v_i), and P A.
+    # Compute P = (2 y h ∘ T - Y A)ᵀ, whose row i is (y/z) (h a_i - Cᵀ v_i), and then P A.
     for j in range(n):
         for k in range(n):
             PA[j, k] = 0.0

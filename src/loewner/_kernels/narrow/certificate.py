@@ -66,8 +66,8 @@ BLOCK = 128  # A block holds up to BLOCK piece pairs, which are settled together
 
 NEWTON_STEPS = 12
 
-# Errors that a shape matrix Q causes: in a squared width nᵀQn, in units of the roundoff times trace(Q) |n|²; in a
-# product Qn, in units of the roundoff times trace(Q) |n|. The constant covers both precisions; single precision has the
+# Error that a shape matrix Q causes. For a squared width nᵀQn, the unit is the roundoff times trace(Q) |n|²; for a
+# product Qn, the unit is the roundoff times trace(Q) |n|. The constant covers both precisions; single precision has the
 # larger errors.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
@@ -175,7 +175,7 @@ def rounded_size(a, reach_a, b, reach_b):
 def _clear(r, radii, size, margin, unit):
     """Mask of pairs whose bounding spheres are certainly farther apart than the margin."""
     far = radii + position_error(size, unit) + margin
-    # The second comparison decides if squares overflow.
+    # If squares overflow, the second comparison decides.
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 

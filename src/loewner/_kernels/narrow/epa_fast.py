@@ -27,8 +27,8 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# Limit on the corners of a polytope. With more corners, it does not pay off to transform all corners to the world
-# frame.
+# Limit on the corners of a polytope. With more corners, transforming all of them to the world frame takes more time
+# than it saves.
 MAX_CORNERS = 1024
 MAX_FACES = 64  # Each face takes one bit of a mask. Hulls of 20 points need 20 to 30 faces.
 MAX_POINTS = MAX_FACES // 2 + 2  # By Euler's formula, a closed surface of MAX_FACES triangles has MAX_POINTS points.
@@ -46,9 +46,9 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# For each half-edge, with the number 4 face + side, the workspace of integers holds its twin and its first point. For
-# each point, it holds the corners of A and B, and the new face whose rim edge starts there. For the rim, it holds the
-# half-edges beyond it and their first points.
+# For each half-edge (number 4 face + side), the workspace of integers holds its twin and its first point. For each
+# point, it holds the corners of A and B, and the new face whose rim edge starts there. For the rim, it holds the
+# half-edges beyond the rim and their first points.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -66,7 +66,7 @@ FLAT_FACE = 1e-10
 # Rounding may place the foot of the origin outside its face by at most FOOT_SLACK in barycentric coordinates.
 FOOT_SLACK = 1e-9
 
-# Indices of the points of the first shell, and also of its faces.
+# Indices of the points of the first shell; its faces have the same indices.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
 # Twins of the half-edges of the first shell. Each face has three entries in use and one unused entry; the faces are (1
@@ -313,7 +313,8 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # To avoid a branch, write every side; the next side overwrites this entry unless the face beyond stays.
+            # To avoid a branch, write an entry for every side. The next side overwrites it unless the face beyond this
+            # side stays.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]

@@ -37,7 +37,7 @@ HAIR = 1e-5
 THIN = 1e-4
 
 DEPTH_ACCURACY = 1e-11  # Accuracy for distance queries.
-CONTACT_ACCURACY = 1e-13  # Accuracy that distinguishes a graze from a gap.
+CONTACT_ACCURACY = 1e-13  # Accuracy needed to distinguish a graze from a gap.
 
 
 class Workspace(NamedTuple):

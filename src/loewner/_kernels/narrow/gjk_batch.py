@@ -49,9 +49,9 @@ from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
 ROUNDS = 10  # Five rounds settle nine in ten pairs, and eight settle 99 in 100.
 
-FEW = 4  # Fewer than FEW pairs are searched faster one by one.
+FEW = 4  # If there are fewer than FEW pairs, searching them one by one is faster.
 
-MOST = 64  # A piece may have up to MOST vertices. With more, sixteen pairs exceed the first-level cache.
+MOST = 64  # A piece may have up to MOST vertices. With more, sixteen pairs do not fit into the first-level cache.
 
 # Errors of a width computed by `plane`, and of a product with a support point, in roundoffs of single precision times
 # the lengths. All errors in this module are at least twice the derived values.

@@ -159,8 +159,8 @@ def decide(A, B, shift, W, ends, n, error):
             h = -dot(cross(ae, ab), a)
             if f <= 0.0 and g <= 0.0 and h <= 0.0:
                 volume = abs(dot(face_bc, ae))
-                # The origin is inside if the three determinants and the base, with f + g + h + base = -volume, are all
-                # negative beyond their rounding errors.
+                # The base is defined by f + g + h + base = -volume. The origin is inside if the base and the three
+                # determinants are all negative beyond their rounding errors.
                 if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
                     return TOUCHING, negated(p), k
                 return UNSETTLED, negated(p), k

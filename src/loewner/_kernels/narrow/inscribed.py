@@ -50,16 +50,17 @@ LEAST_AXIS = 1e-6
 # An ellipsoid is not worth a test if it adds less than LEAST_VOLUME times the volume of the largest one.
 LEAST_VOLUME = 1e-3
 
-# A seed grows for at most ROUNDS rounds, each with planes and a fit. A round that enlarges the volume by less than the
-# factor GROWTH is the last.
+# A seed grows for at most ROUNDS rounds. Each round chooses planes and fits an ellipsoid between them. A round that
+# enlarges the volume by less than the factor GROWTH is the last.
 ROUNDS = 4
 GROWTH = 1.02
 
 # Half size, in the ellipsoid's metric, of the box in which a round searches for triangles.
 REACH = 6.0
 
-# A round uses at most MOST_PLANES planes. A plane represents all triangles beyond it, and also triangles in front of it
-# by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so the limit suffices.
+# A round uses at most MOST_PLANES planes. A plane represents all triangles beyond it, and also triangles that are in
+# front of it by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so the limit
+# suffices.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
@@ -68,8 +69,8 @@ CLOSE = 0.01
 # their own, at most REPAIRS times.
 REPAIRS = 3
 
-# The first UNCUT seeds grow as far as they can, because one large ellipsoid is worth most. Planes keep later seeds out
-# of most of each existing ellipsoid; their distance from the center of that ellipsoid is BEYOND, in units of its
+# The first UNCUT seeds grow as far as they can, because one large ellipsoid is worth most. Later seeds are kept out of
+# most of each existing ellipsoid by a plane whose distance from the center of that ellipsoid is BEYOND, in units of its
 # semi-axes.
 UNCUT = 5
 BEYOND = 0.2
@@ -80,7 +81,7 @@ FIT_TOLERANCE = 1e-3
 # The winding number is computed at this point of an ellipsoid, in units of its semi-axes.
 OFF_CENTER = 0.0271, 0.0317, 0.0123
 
-# Number of points that measure which fraction of an ellipsoid lies in other ellipsoids.
+# Number of points used to estimate what fraction of an ellipsoid lies in other ellipsoids.
 POINTS = 128
 
 # Rounding error of a distance from the center, relative to the metric, see `prove`.
@@ -659,7 +660,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(mesh, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # Insertion sort suffices, because the ellipsoids are few.
+    for i in range(1, kept):  # Insertion sort suffices, because there are few ellipsoids.
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

@@ -25,7 +25,7 @@ from loewner._kernels.simd.memory import integers_at
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-MEETING = -1  # MEETING replaces a number of open pairs.
+MEETING = -1  # If two pieces collide, MEETING is returned in place of the number of open pairs.
 
 
 class Asked(NamedTuple):

@@ -23,8 +23,8 @@ from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, ne
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
 # Limits on the searches for one interval and on the steps of the walk; beyond these limits, halving the interval is
-# faster. Short intervals get a multiple of both limits, because just as many triangles may come near in each of their
-# halves.
+# faster. Short intervals get a multiple of both limits, because in each half of such an interval, as many triangles may
+# come near as in the whole interval.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
 # An entry of the stack is the number of a box, shifted by ENTRY bits, plus the number of a triangle in a leaf. For the

@@ -107,7 +107,7 @@ def _fill(made, chosen):
             if len(made.part_start) > 0:
                 part = _copy_parts(pack, first + n, made, piece + n, part)
         for n in range(WIDE * groups):
-            # A negative child is a piece, and any other child a group; an unused place has -1, or still leads to a
+            # A negative child is a piece, and any other child is a group. An unused place has -1, or still leads to a
             # piece.
             child = pack.children[WIDE * from_group + n]
             if child >= 0:

@@ -47,7 +47,7 @@ from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 QUEUED = 32  # A queue holds up to QUEUED piece pairs, which are bounded together.
-WALKED = 16  # The trees yield up to WALKED piece pairs at a time. A small number keeps the distance bound recent.
+WALKED = 16  # The trees yield up to WALKED piece pairs at a time. A small number keeps the distance bound up to date.
 
 BOUND_STEPS = 12  # Number of Newton steps that maximise the contact function of a single pair; it must be even.
 POLISH_ROUNDS = 3  # Number of rounds that tighten a bound, by Newton's method for the direction of the near points.

@@ -62,7 +62,7 @@ SETTLED_CURVED = 1e-3
 
 NEVER = -1.0  # With this tolerance, no distance is settled.
 
-# The vector between two witnesses may deviate from depth times normal by WITNESSES times the lengths involved.
+# The vector between two witnesses may deviate from the depth times the normal by WITNESSES times the lengths involved.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
@@ -430,8 +430,8 @@ def _record(lane, queue, Ta, measured, result, exact):
     pairs = queue.pairs
     k, ka = pairs.pair[lane], pairs.pose_a[lane]
     value, gap, tolerance, ra, rb = measured
-    # The ellipsoids' lower bound may be nearer to the value than the search's. A value far below the ellipsoids' bound
-    # is wrong, even if the search's own bounds agree.
+    # The ellipsoids' lower bound may be nearer to the value than the lower bound of the search. A value far below the
+    # ellipsoids' bound is wrong, even if the search's own bounds agree.
     gap = min(gap, abs(value - queue.below[lane]))
     if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED

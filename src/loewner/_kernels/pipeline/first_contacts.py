@@ -59,10 +59,12 @@ ROUNDS = 256  # Hulls need seven rounds; only motions that graze within the tole
 # Steps assume that the curvature is SHARE times its bound. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
 # step that is not proven is multiplied by a factor between LEAST and REDUCED, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-REACHED = 0.5  # Fraction of the widest step by which the search goes back from an unproven plane, see `_reduced`.
+# If a step is not proven, the search goes back by this fraction of the longest step that the plane at its end may
+# prove, see `_reduced`.
+REACHED = 0.5
 
-# The last step but one ends BEFORE times the tolerance from contact. The last two times may be up to LAST times the
-# tolerance apart.
+# The last step but one ends BEFORE times the tolerance from contact. The last step is so short that, at full speed, the
+# bodies would approach each other by at most LAST times the tolerance between the two returned times.
 BEFORE, LAST = 0.25, 0.9
 
 SURFACE_SHARE = 0.95  # Steps of surfaces take this fraction of the longest step that their speed allows.
@@ -419,8 +421,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
             if nearing > 0.0:
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
-                # Step past the expected contact, by at most the time until it. If a search cannot settle a contact this
-                # shallow, it can settle a contact that is closer to touching.
+                # Step past the expected contact, but by no more than the time that remains until this contact. If a
+                # search cannot settle a contact this shallow, it can settle a contact that is closer to touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w

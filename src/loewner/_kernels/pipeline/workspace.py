@@ -9,8 +9,8 @@ from loewner._kernels.narrow import exact, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
 
-# Entries of `carried_of`: the number of pairs held for the search, the half of the list that holds them, and the
-# numbers of pairs that wait for the maximum of the contact function and for the batch GJK.
+# Entries of `carried_of`: the number of pairs held for the search, the half of the list that holds them, the number of
+# pairs that wait for the maximum of the contact function, and the number of pairs that wait for the batch GJK.
 N_HELD, HALF, N_UNSURE, N_WALKING, CARRIED = 0, 1, 2, 3, 4
 
 MEMORY = Arena(

@@ -10,8 +10,8 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times closer together than NEAR times a brake's duration are merged, because rounding would distort such a short
-# piece.
+# Times that differ by less than NEAR times a brake's duration are merged, because rounding would distort the short
+# piece between them.
 NEAR = 1e-9
 
 # Largest number of Newton or bisection steps in the search for the time at which a distance is covered.

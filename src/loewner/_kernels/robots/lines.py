@@ -65,8 +65,8 @@ STEPS = 32
 # An axis counts as brought back if it is within (1 + NEARLY) times the tolerance.
 NEARLY = 0.01
 
-# The next motions may use the fraction SHARE of the tolerance. GROWTH and SHRINKING limit the factors by which motions
-# become longer or shorter.
+# The next motions may use the fraction SHARE of the tolerance. Motions may become longer by at most the factor GROWTH
+# at a time, and shorter by at most the factor SHRINKING.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
 # LEAST_MOTION is the shortest motion, as a fraction of the line. LONGEST is the longest line [m]; its shortest motions

@@ -34,8 +34,8 @@ PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # certified.md B50
 # Factor by which an angle is multiplied to bound its effect on the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # certified.md B26
 
-# Errors [rad] of the angle of an interpolated quaternion: from rounding, and per unit of the ends' deviation from norm
-# 1.
+# Errors [rad] of the angle of an interpolated quaternion: the error from rounding, and the error per unit by which the
+# norms of the two ends deviate from 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B27
 NORM_SHARE = 16.0  # certified.md B28
 
@@ -45,8 +45,8 @@ SMALLEST_TURN = 1e-15  # SMALLEST_TURN [rad] exceeds the error of the angle betw
 
 
 # All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm.
-# Otherwise, the orientation might turn arbitrarily fast. Any two quaternions on such a course are less than 90° apart,
-# and no more than this is required of the parts of the course.
+# Otherwise, the orientation might turn arbitrarily fast. On such a course, any two quaternions are less than 90° apart.
+# For the parts of the course, only this consequence is required.
 LEAST_NORM = 0.75
 
 

@@ -99,8 +99,8 @@ MOST_BLOCKS = MOST_INTERVALS // 7
 # Therefore, `collide` reports no contact at any configuration of a free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
-# An interval that fails is AMBIGUOUS once its points move by less than DECIDED times the tolerance. The rest of the
-# tolerance is left for the convergence of the search.
+# An interval that is not proven counts as AMBIGUOUS once its points move by less than DECIDED times the tolerance. The
+# rest of the tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
 # If joints may stray, intervals are settled once points move by less than SETTLED_STRAY times V(δ), see certified.md.
@@ -1283,7 +1283,7 @@ def _settle_pairs(motion, low, widest, found, tally):
             if live == 0:
                 continue
             if motion.strays:
-                # Each of the two values bounds by how much strays can bring the two bodies closer together.
+                # Both values bound the distance by which strays can bring the two bodies closer together.
                 stray = min(stray, _stray(motion, one, problem.link[one], problem.link[other]))
                 slack += stray
             seen = _ways(motion, False, one, problem.link[one], problem.link[other])

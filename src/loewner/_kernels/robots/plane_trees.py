@@ -23,7 +23,7 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Columns of clusters are in the first line. Columns of pieces: the kind, then the radius, the center and the nine
+# The first line lists the columns of clusters. Columns of pieces: the kind, then the radius, the center and the nine
 # numbers of the factor.
 FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
 RADIUS, CENTER, FACTOR = 1, 2, 5
@@ -63,7 +63,7 @@ BOX_ROOM = 4e-6
 # normal is rounded.
 ROUNDED = 4e-5
 
-# After the boxes, the BEST_AXES best axes are tried.
+# If comparing the boxes proves nothing, the BEST_AXES axes with the best scores are tried.
 BEST_AXES = 3
 
 # Poses of links are stored at multiples of 1 / KEPT. At other times, poses are stored only for the middle of one

@@ -36,7 +36,7 @@ SKIP_EVERY = 32
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
-# A step must lower the cost of the motions that it changes by at least the fraction GAIN.
+# A step changes some motions, and must lower their cost by at least the fraction GAIN.
 GAIN = 1e-9
 
 

@@ -75,12 +75,14 @@ from loewner._kernels.simd.vectors import (
 # [m], where d is the sum of the target's absolute coordinates. Rounding errors are far smaller.
 REACHED = 1e-10
 
-# Squared damping, as a fraction of the squared error, and its minimum. Fractions from 0.01 to 0.1 suited five arms.
+# DAMPING is the squared damping, as a fraction of the squared error; LEAST_DAMPING is the least squared damping.
+# Fractions from 0.01 to 0.1 worked well for five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
 LONGEST = 1.0  # Largest turn of a joint in a step [rad].
 
-# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the previous one.
+# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the value before
+# these steps.
 PATIENCE, GAIN = 6, 0.7
 
 # Two solutions count as the same if they differ by less than SAME in every value [rad or m].

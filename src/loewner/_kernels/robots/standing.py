@@ -44,7 +44,7 @@ from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import CHAIN_STRETCH, LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# The factor STRETCH allows for rounding, and for lengths that a pose accepted as rigid stretches. The pose of a base
+# The factor STRETCH allows for rounding, and for poses accepted as rigid, which may stretch lengths. The pose of a base
 # also stretches reaches.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 

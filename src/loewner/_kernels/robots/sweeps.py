@@ -62,8 +62,8 @@ GROUP = 8 * LANES
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half-widths are widened by the fraction STRETCH, because accepted poses stretch them, and because of
-# rounding.
+# Radii and half-widths are widened by the fraction STRETCH, to allow for rounding and for accepted poses, which may
+# stretch them.
 STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 

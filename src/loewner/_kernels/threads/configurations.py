@@ -86,8 +86,9 @@ ASTRAY = 7
 # Error of the pose of a link in the frame of another link, in roundings times the lengths.
 COMPOSED = 24.0  # certified.md B63
 
-# Errors, in roundings, that a joint and its value add to a rotation (spectral norm); and the error that a joint adds to
-# a translation, in roundings times the lengths from which the translation is computed.
+# JOINT_TURN is the error, in roundings, that a joint adds to a rotation (spectral norm). VALUE_TURN is the error that
+# each radian of the joint's value adds. JOINT_SHIFT is the error that a joint adds to a translation, in roundings times
+# the lengths from which the translation is computed.
 JOINT_TURN = 40.0  # certified.md B45
 VALUE_TURN = 8.0  # certified.md B46
 JOINT_SHIFT = 20.0  # certified.md B47
@@ -406,7 +407,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # With this additional length, positions have a slack of `astray`.
+    more = astray * (UP / OFF)  # Adding `more` to the lengths enlarges the error allowed for positions by `astray`.
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
     pair_state = SO_FAR_FREE

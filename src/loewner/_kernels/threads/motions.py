@@ -81,12 +81,13 @@ FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 # Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
 SPAN = 2.0  # certified.md B64
 
-# STRETCH allows for roundings in a bound on curvature, for up to a thousand joints. REST_ERROR is the error per joint
-# of the difference between sums of rates, in roundings of the sum.
+# STRETCH allows for roundings in a bound on curvature, for up to a thousand joints. The difference between two sums of
+# rates has an error of REST_ERROR for each joint, in roundings of the sum.
 STRETCH = 1e-3  # certified.md B65
 REST_ERROR = 4.0  # certified.md B66
 
-# The error of the middle of a chord plus the error of half its length, in roundings of the sum of the two.
+# The sum of the errors of a chord's middle and of half the chord, in roundings of the sum of the middle and half the
+# chord.
 CHORD_ERROR = 8.0  # certified.md B67
 
 
@@ -436,7 +437,8 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
     first, last, off = _ends_of(cell, interval, placed, S)
     n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
-    # Search the hull of both ends first, then the later end, then the first end of the whole motion.
+    # Search the hull of both ends first, then the later end. If the motion begins with this interval, search its first
+    # end last.
     last_attempt = 2 if interval.node & (interval.node - 1) == 0 else 1
     attempt, keep = 0, interval.margin + interval.bend
     while attempt <= last_attempt:

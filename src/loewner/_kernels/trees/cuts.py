@@ -24,8 +24,8 @@ from loewner._kernels.trees.triangle_tree import principal, put_range
 # of a flat ellipsoid relative to its longest side, and DIGITS is its thickness relative to the coordinates.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# Each side of a cut gets at least one in LEAST_SHARE items. With 16 instead, each cut would often leave three quarters
-# of a part on one side, without proving more.
+# Each side of a cut gets at least the fraction 1 / LEAST_SHARE of the items. With 16 instead, each cut would often
+# leave three quarters of a part on one side, without proving more.
 LEAST_SHARE = 4
 
 # At most MOST_ASKED triangles suggest axes. Points of a hull are sought in LOOKS directions, and a box is tried along
@@ -350,7 +350,8 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
     if sample_count > FEW:
         axis, slot, start, scale = _boundary(rows, sample_count, least, grown, bins, held)
     if axis >= 0:
-        # List the items in the two bins at the boundary, and find boxes around the items in the bins before and after.
+        # List the items in the two bins at the boundary, and find boxes around the items in all bins before and after
+        # these two.
         count, before, ahead, behind = 0, 0, nothing, nothing
         left, right = -np.inf, np.inf
         for item in range(sample_count):
@@ -437,8 +438,8 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
         order[start + k] = order[np.uint64(ahead[k])]
     for k in range(count):
         order[start + kept + k] = begin[k]
-    # If items are equal, or their centers differ only by rounding, all may be on one side; any other cut is then as
-    # good.
+    # If items are equal, or their centers differ only by rounding, all may be on one side. In this case, all cuts are
+    # equally good.
     return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 

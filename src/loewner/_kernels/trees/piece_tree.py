@@ -21,7 +21,7 @@ from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lo
 
 # Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). The deviation moves each coordinate of a point by
 # less than BEND times the point's distance from the body's origin, and stretches lengths by less than BEND. The
-# remainder of BEND is far above the rounding of distances.
+# difference between BEND and these effects is far larger than the rounding errors of distances.
 BEND = 4e-6  # certified.md B21
 
 # The integers of a walk.
@@ -200,7 +200,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
     i = a.piece_start[ia]
     for _ in range(rounds):
         best = np.inf
-        # Find the piece of a whose center is nearest to the center of piece j, in b's frame.
+        # Find the piece of body a whose center is nearest to the center of piece j (in b's frame).
         for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
             squared = 0.0
             for row in range(3):

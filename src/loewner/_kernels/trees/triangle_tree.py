@@ -54,7 +54,8 @@ MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or n
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# An ellipsoid with a semi-axis longer than MOST_WIDE times the radius of the ball around its corners becomes that ball.
+# If a semi-axis of an ellipsoid is longer than MOST_WIDE times the radius of the ball around its corners, the ball
+# replaces the ellipsoid.
 MOST_WIDE = 2.0
 
 # Jacobi's method, which converges quadratically, takes SWEEPS sweeps, and ignores entries up to SMALL, because axes
