@@ -1,6 +1,5 @@
 """Where the examples in docstrings run: an empty folder with a small robot and a planning problem for it."""
 
-import json
 from importlib.util import find_spec
 
 import pytest
@@ -26,30 +25,14 @@ ARM = """<robot name="arm">
 </robot>
 """
 
-PROBLEMS = {
-    "robot": "arm",
-    "joints": ["rail", "elbow"],
-    "problems": {
-        "shelf": [
-            {
-                "index": 1,
-                "problem": "shelf",
-                "start": [0.0, 0.0],
-                "goals": [[2.0, 0.0]],
-                "box": [
-                    {
-                        "name": "board",
-                        "half_extents": [0.1, 0.1, 0.01],
-                        "position": [1.0, 0.0, 1.0],
-                        "orientation_quat_xyzw": [0.0, 0.0, 0.0, 1.0],
-                    }
-                ],
-                "cylinder": [],
-                "sphere": [],
-            }
-        ]
-    },
-}
+PROBLEMS = """{"robot": "arm", "joints": ["rail", "elbow"], "problems": {"shelf": [{
+  "index": 1, "problem": "shelf", "start": [0.0, 0.0], "goals": [[2.0, 0.0]], "cylinder": [], "sphere": [],
+  "box": [{
+    "name": "board", "half_extents": [0.1, 0.1, 0.01],
+    "position": [1.0, 0.0, 1.0], "orientation_quat_xyzw": [0.0, 0.0, 0.0, 1.0]
+  }]
+}]}}
+"""
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -64,5 +47,5 @@ def no_greetings():
 def folder_of_examples(tmp_path, monkeypatch):
     """Run each docstring's examples in a folder of its own."""
     (tmp_path / "arm.urdf").write_text(ARM)
-    (tmp_path / "problems.json").write_text(json.dumps(PROBLEMS))
+    (tmp_path / "problems.json").write_text(PROBLEMS)
     monkeypatch.chdir(tmp_path)

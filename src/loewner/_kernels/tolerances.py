@@ -31,8 +31,8 @@ FACE_ROUNDING = 64.0
 # to within a tolerance.
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
-# The fraction STRETCH allows for paths stretched by poses accepted as rigid, and for a few dozen roundings of rates and
-# bounds.
+# The fraction STRETCH allows for poses that are accepted as rigid but stretch paths slightly, and for a few dozen
+# roundings of rates and bounds.
 STRETCH = 1e-5  # certified.md B29
 
 # Squares of lengths below LEAST_SQUARE have lost digits, so dividing by their roots does not give a unit vector.

@@ -108,13 +108,12 @@ def _clear_pair(experiment: Experiment, colliding: bool) -> int:
     chosen = np.flatnonzero(experiment.detectors[1].answers.ambiguous & (experiment.truth == colliding))
     if not len(chosen):
         chosen = np.arange(len(experiment))
-    best, best_room = int(chosen[0]), -np.inf
-    for k in chosen[:200]:
-        line = line_of_pair(*_ellipsoids(experiment, int(k), "inner"), method="lin-han")
-        room = min(line.L, line.beta - line.L, -line.alpha)
-        if room > best_room:
-            best, best_room = int(k), room
-    return best
+
+    def room(k: int) -> float:
+        line = line_of_pair(*_ellipsoids(experiment, k, "inner"), method="lin-han")
+        return min(line.L, line.beta - line.L, -line.alpha)
+
+    return int(max(chosen[:200].tolist(), key=room))
 
 
 def _ellipsoids(

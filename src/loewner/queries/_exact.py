@@ -189,12 +189,9 @@ def within(a: list[Vector], b: list[Vector], reach: Fraction) -> bool:
 def _to_segment(p: Vector, a: Vector, b: Vector) -> Fraction:
     """Compute the squared distance from a point to a segment."""
     e, w = minus(b, a), minus(p, a)
-    length, along = dot(e, e), dot(w, e)
-    if along <= 0 or length == 0:
-        return Fraction(dot(w, w))
-    if along >= length:
-        return Fraction(dot(minus(p, b), minus(p, b)))
-    return dot(w, w) - Fraction(along * along, length)
+    squared, along = dot(e, e), dot(w, e)
+    foot = min(max(along, 0), squared)  # The foot point is a + e foot / squared.
+    return Fraction(dot(w, w)) - (Fraction((2 * along - foot) * foot, squared) if squared else 0)
 
 
 def _to_face(p: Vector, t: list[Vector]) -> Fraction | None:

@@ -569,8 +569,7 @@ class RobotViewer(Viewer):
             self._button.label = PLAY
 
     def _go_to(self, t: float) -> None:
-        self._time = t
-        self._clock.value = t
+        self._time = self._clock.value = t
         way = self._the_way()
         if not isinstance(way, paths.Standing):
             self._state.value = OTHER

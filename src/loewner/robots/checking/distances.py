@@ -155,9 +155,7 @@ def nearest_columns(ready: Problem, Q: Floats, exact: bool, *, care: bool = True
         distance[status != 0] = np.nan
         return [lower, upper, distance, bodies, *vectors]
     for k in np.flatnonzero(status):
-        distance[k], bodies[k], *row = _nearest_with_care(ready, Q[k])
-        for column, vector in zip(vectors, row, strict=True):
-            column[k] = vector
+        distance[k], bodies[k], *vectors[:, k] = _nearest_with_care(ready, Q[k])
     return [lower, upper, distance, bodies, *vectors]
 
 

@@ -81,9 +81,8 @@ def warn_of_open_meshes(title: object, named: Iterable[tuple[str, str]], instead
     instead : str
         The option that keeps the triangles unchanged.
     """
-    names_by_kind: dict[str, list[str]] = {kind: [] for kind in OPENED}
-    for name, words in named:
-        names_by_kind.get(words.partition(",")[0], []).append(name)
+    kinds = [(name, words.partition(",")[0]) for name, words in named]
+    names_by_kind = {kind: [name for name, own in kinds if own == kind] for kind in OPENED}
     groups = [f"{len(names)} {OPENED[kind]} ({', '.join(names)})" for kind, names in names_by_kind.items() if names]
     if groups:
         warn(
