@@ -276,7 +276,7 @@ class Body(_Bodies):
         Parameters
         ----------
         source : path, trimesh.Trimesh or trimesh.Scene
-            The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres.
+            The mesh, or a mesh file (STL, OBJ, PLY, OFF, GLB, glTF or DAE); lengths in metres.
         decompose : bool
             If true, split a non-convex mesh into convex pieces, with CoACD or by cutting along planes. The pieces only
             approximate the mesh; `body.covering` states how well. If false, use the convex hull, which contains the
@@ -354,8 +354,8 @@ class Body(_Bodies):
         Parameters
         ----------
         source : path, trimesh.Trimesh, trimesh.Scene, or a pair of arrays
-            The mesh, or its file in STL, OBJ, PLY, OFF, GLB, glTF or DAE format, in metres. A pair holds the vertices,
-            shape (v, 3), and the triangles, shape (t, 3).
+            The mesh, or a mesh file (STL, OBJ, PLY, OFF, GLB, glTF or DAE); lengths in metres. A pair holds the
+            vertices, shape (v, 3), and the triangles, shape (t, 3).
         radius : float
             Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional

@@ -1,4 +1,4 @@
-"""Connect poses (x, y, heading) by drivable ways: Reeds-Shepp or Dubins paths, or straight lines with turns in place.
+"""Connect poses (x, y, heading) by drivable routes: Reeds-Shepp or Dubins paths, or straight lines with turns in place.
 
 A way is a sequence of motions. Each motion has a length [m], negative for backwards, and a turn [rad]. The base drives
 and turns at constant rates, so a motion is an arc of a circle, a straight line, or a turn in place.
@@ -86,8 +86,8 @@ def driven(poses: Floats, lengths: Floats, turns: Floats) -> Floats:
 def car(a: Floats, b: Floats, radius: float, reverse: bool = True) -> Ways:
     """Return the ways of a car from poses a to poses b, shape (N, 3) each.
 
-    With `reverse`, the ways follow all words of Reeds and Shepp, and the shortest path is among these ways. Otherwise,
-    the ways follow Dubins's words.
+    With `reverse`, there are ways for all words of Reeds and Shepp, so the shortest path is among them. Otherwise, the
+    ways follow Dubins's words.
     """
     x, y, turn = _seen_from(a, b)
     lengths, steered = _words(x / radius, y / radius, turn, reverse)

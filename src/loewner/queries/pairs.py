@@ -378,8 +378,8 @@ def classify(
     Returns
     -------
     Verdict, or ndarray of int8, shape (...)
-        FREE and COLLIDING are proven, including all rounding (docs/certified.md). Two bodies are FREE only if all pairs
-        of their pieces are FREE, and COLLIDING if any pair of pieces is COLLIDING.
+        FREE and COLLIDING are proven, with all rounding errors accounted for (docs/certified.md). Two bodies are FREE
+        only if all pairs of their pieces are FREE, and COLLIDING if any pair of pieces is COLLIDING.
 
     Raises
     ------

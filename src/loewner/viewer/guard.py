@@ -1,6 +1,6 @@
 """Control access to the page: check each request, for the page or its websocket, before viser receives it.
 
-viser serves any client that can reach its port. Such a client need not be a user of this machine. A page of any site,
+viser serves any client that can reach its port. Such a client need not be a user of this machine. A page from any site,
 opened in a browser on this machine, can open a websocket to 127.0.0.1, or to a name that resolves to this address. A
 request from such a page can be refused, since its Origin or Host names the page's site, and no script in a browser can
 change these headers.

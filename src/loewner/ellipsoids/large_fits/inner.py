@@ -84,7 +84,8 @@ def largest_inside(
     """Find the center, lower triangular factor, multipliers and steps of the largest ellipsoid in {x : A x <= b}.
 
     `center` is the analytic center, and `frame` whitens the half-spaces about it; both come from `entries.center_in`.
-    The result holds up to rounding; `proven` computes its quality. If no ellipsoid was found, the factor is zero.
+    The result is correct only up to rounding errors; `proven` computes how good it is. If no ellipsoid was found, the
+    factor is zero.
     """
     _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again for each step and for its linear system
     n = A.shape[1]
