@@ -164,7 +164,8 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
 def from_mesh(
     path: Any, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
-    """Make the body of a mesh, and show a progress bar unless the caller already shows one.""" chosen = model(options)
+    """Make the body of a mesh, and show a progress bar unless the caller already shows one."""
+    chosen = model(options)
     if chosen == "surface":
         return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
     if progress is None:

@@ -88,7 +88,8 @@ class Jump(NamedTuple):
 def used(robot: Robot, curve: Curve, limits: JointLimits | None, timed: bool) -> list[Use]:
     """Return how much of each joint's limits a curve uses; without times, only for limits of position.
 
-    The curve has the robot's columns. Position limits are the hard limits, unless the file passed as `limits` changes them.
+    The curve has the robot's columns. Position limits are the hard limits, unless the file passed as `limits` changes
+    them.
     """
     lower, upper = position_limits(robot, limits)
     uses: list[Use] = []

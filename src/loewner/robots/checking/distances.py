@@ -240,12 +240,17 @@ def _for_all_errors(ready: Problem, Q: Floats, softness: float, gradient: bool) 
 
 
 def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:
-    """Find the nearest pair at a configuration where the fast searches failed, from the exact distances of pairs."""
+    """Find the nearest pair, one pair at a time, at a configuration where the fast searches failed."""
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T
     bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
-    near = ready.pairs[bounds.lower <= bounds.upper.min()]
-    a, b = near.T
-    exact = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
-    k = exact.distance.argmin()
-    return exact.distance[k], near[k], exact.witness_a[k], exact.witness_b[k], exact.normal[k]
+    best, nearest, gap = np.inf, 0, None
+    for p in np.argsort(bounds.lower, kind="stable"):
+        if bounds.lower[p] > min(best, bounds.upper.min()):
+            break
+        i, j = (int(body) for body in ready.pairs[p])
+        one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
+        if one.distance < best:
+            best, nearest, gap = one.distance, int(p), one
+    assert gap is not None  # the first lower bound is below all upper bounds
+    return best, ready.pairs[nearest], gap.witness_a, gap.witness_b, gap.normal
