@@ -382,6 +382,24 @@ def test_many_answers_are_refused_unjudged(monkeypatch):
         reproduction(box, None, box, None, witness_a=np.zeros((2, 3)))
 
 
+@pytest.mark.parametrize(
+    ("answers", "message"),
+    [
+        ({"distance": np.zeros(3)}, r"expected one answer about one pair, found shape \(3,\)"),
+        ({"distance": [0.0, 0.0]}, r"expected one answer about one pair, found shape \(2,\)"),
+        ({"witness_a": np.full((2, 3), 9.0)}, r"expected one answer about one pair, found shape \(2, 3\)"),
+        ({"far": 1.0}, "engine: expected a dict of answers, found {'far': 1.0}"),
+        ([1.0], r"engine: expected a dict of answers, found \[1.0\]"),
+        ({}, "expected an answer to judge"),
+    ],
+)
+def test_engines_that_return_something_else(answers, message):
+    """An engine returns one answer about one pair, in a dict."""
+    box = Body.box([1, 1, 1])
+    with pytest.raises(InputError, match=message):
+        reproduction(box, None, box, translation(1.5), engine=lambda a, b: answers)
+
+
 # -- loewner judge --answers --------------------------------------------------------------------
 
 

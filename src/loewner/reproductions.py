@@ -161,20 +161,24 @@ def reproduction(
         if answers:
             raise InputError(f"engine: expected no answers beside it, found {', '.join(answers)}")
         corners, answers = _reduced(corners, poses, engine, tolerance)
-    bodies = [Body.from_points(points) for points in corners]
-    for name, value in answers.items():  # Many answers are refused before they are judged, which takes seconds.
-        if isinstance(value, np.ndarray) and value.ndim > (name in VECTORS):
-            raise _not_one(value.shape)
-    said = judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
-    if said.kinds.ndim > 1:
-        raise _not_one(said.lower.shape)
+    bodies, said = _judged(corners, poses, answers, tolerance)
     if not said.wrong:
         raise InputError(f"expected an answer that is proven wrong, found {_names(said)}")
     return _written(bodies, corners, poses, answers, said)
 
 
-def _not_one(shape: tuple[int, ...]) -> InputError:
-    return InputError(f"expected one answer about one pair, found shape {_validate.shape_text(shape)}")
+def _judged(
+    corners: list[Floats], poses: list[Floats], answers: dict[str, Any], tolerance: float
+) -> tuple[list[Body], Judgement]:
+    """Make two hulls, and judge one answer about them; arrays of answers are refused unjudged, which saves seconds."""
+    bodies = [Body.from_points(points) for points in corners]
+    many = [x.shape for name, x in answers.items() if isinstance(x, np.ndarray) and x.ndim > (name in VECTORS)]
+    if not many:
+        said = judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
+        many = [said.lower.shape] * (said.kinds.ndim > 1)
+    if many:
+        raise InputError(f"expected one answer about one pair, found shape {_validate.shape_text(many[0])}")
+    return bodies, said
 
 
 def _corners(body: Any, name: str) -> Floats:
@@ -196,9 +200,10 @@ def _reduced(
     """Round coordinates and remove corners as long as the other program's answer stays wrong in the same way."""
 
     def asked(trial: list[Floats]) -> tuple[dict[str, Any], Judgement]:
-        bodies = [Body.from_points(points) for points in trial]
-        answers = dict(engine(trial[0], trial[1]))
-        return answers, judge_answers(bodies[0], poses[0], bodies[1], poses[1], **answers, tolerance=tolerance)
+        answers = engine(trial[0], trial[1])
+        if not isinstance(answers, dict) or not answers.keys() <= {*PARTS} - {"witnesses"}:
+            raise InputError(f"engine: expected a dict of answers, found {_validate.short(answers)}")
+        return answers, _judged(trial, poses, answers, tolerance)[1]
 
     answers, said = asked(corners)
     worst = Finding(int(said.kinds[np.argmax(said.excess)]))

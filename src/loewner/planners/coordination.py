@@ -228,7 +228,6 @@ def _merged(judge: Judge, rows: Floats) -> Floats:
     sizes, turns = (np.abs(ways).max(axis=1, initial=0.0) for ways in (steps[1:], np.diff(steps, axis=0)))
     corners = np.concatenate([[0], np.flatnonzero(turns > STRAIGHT * sizes) + 1, [len(rows) - 1]])
     free = judge.free(rows[corners[:-1]], rows[corners[1:]])
-    kept = [corners[:1]]
-    for first, last, is_free in zip(corners[:-1], corners[1:], free.tolist(), strict=True):
-        kept.append(np.array([last]) if is_free else np.arange(first + 1, last + 1))
-    return np.asarray(rows[np.concatenate(kept)])
+    ends = zip(corners[:-1], corners[1:], free.tolist(), strict=True)
+    kept = [np.arange(last if is_free else first + 1, last + 1) for first, last, is_free in ends]
+    return np.asarray(rows[np.concatenate([corners[:1], *kept])])
