@@ -460,7 +460,7 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
             name = codes.pop(to)
             if is_mine(to):
                 print(name, flush=True)
-                if nice and name in in_background:
+                if nice and in_background.issuperset([name, *codes.values()]):  # nothing that programs wait for is left
                     os.nice(nice)
                     nice = 0
                 write_code(ENTRIES[name], to)
