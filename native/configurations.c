@@ -1,6 +1,6 @@
-/* Queries for one configuration of a robot, and for one motion. These queries are the most frequent, and each is a
-   single call from Python. `Configurations` holds the data that `robots.problem` prepared, and is replaced whenever
-   these data change. */
+/* Queries for one configuration of a robot, and for one motion. These are the most frequent queries, so each is
+   answered by a single call from Python. An object of the type `Configurations` holds the data that `robots.problem`
+   prepared, and is replaced whenever these data change. */
 
 #include "single.h"
 
@@ -13,12 +13,12 @@ typedef struct {
     Function check_configurations, check_motion;
     long long pack, problem, memory, piece_pairs;
     int64_t width;
-    const double *least, *most; /* Values within these limits cause no warning; `Watch` may widen the limits. */
+    const double *least, *most; /* Values within these limits cause no warning; a `Watch` may widen them later. */
     Array1 hits;
 } Configurations;
 
-/* Return the entries of a configuration if it is of the usual kind and causes neither an error nor a warning; otherwise
-   NULL. */
+/* Return the entries of a configuration. Return NULL if it is not a plain array of the right length, or if one of its
+   values would cause an error or a warning. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
 {
     if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
@@ -48,13 +48,13 @@ static int verdict_of(const Configurations *self, int mode, PyObject *given)
     return mode == CODE_EXACT && verdict == CODE_AMBIGUOUS ? -1 : verdict;
 }
 
-/* collide(q): a bool, or None. */
+/* collide(q) returns a bool, or None if Python's general code has to answer. */
 static PyObject *configurations_collide(Configurations *self, PyObject *q)
 {
     return answer_of(CODE_EXACT, verdict_of(self, CODE_EXACT, q));
 }
 
-/* classify(q): the number of a verdict, or None. */
+/* classify(q) returns the number of a verdict, or None if Python's general code has to answer. */
 static PyObject *configurations_classify(Configurations *self, PyObject *q)
 {
     return answer_of(CODE_CERTIFY, verdict_of(self, CODE_CERTIFY, q));
@@ -62,12 +62,13 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Maximum number of steps of a motion. Memory for the results of more steps is not worth keeping for each thread. */
+/* Maximum number of steps of a motion that is checked here. Each thread keeps memory for the results of all steps, and
+   longer motions would not be worth more memory. */
 #define MOST_STEPS 4096
 
 static PyObject *dist; /* The function math.dist. */
 
-/* Return the distance between two points, exactly as Python computes it; NaN after an error. */
+/* Return the distance between two points as Python's `math.dist` computes it; NaN after an exception. */
 static double exact_length(PyObject *a, PyObject *b)
 {
     PyObject *found = PyObject_CallFunctionObjArgs(dist, a, b, NULL);
@@ -76,8 +77,9 @@ static double exact_length(PyObject *a, PyObject *b)
     return length;
 }
 
-/* Return the number of steps of a motion, as `edges.steps` does; 0 if Python's general code has to answer. A quotient
-   within NEARLY_WHOLE of an integer may have been rounded to the wrong side of this integer. */
+/* Return the number of steps of a motion, as `edges.steps` does; 0 if Python's general code has to answer. If the
+   quotient is very close to an integer (see NEARLY_WHOLE), rounding may have moved it to the wrong side of this
+   integer. The length is then computed again with `math.dist`. */
 static int64_t steps_of(PyObject *start, PyObject *end, double step)
 {
     const double *a = PyArray_DATA((PyArrayObject *)start), *b = PyArray_DATA((PyArrayObject *)end);
@@ -90,7 +92,8 @@ static int64_t steps_of(PyObject *start, PyObject *end, double step)
     return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
 }
 
-/* Get the fractions of a motion with `steps` steps from Python; return a new reference to an array, or NULL. */
+/* Call the Python function `order` for the fractions of a motion with `steps` steps. Return a new reference to an
+   array; NULL if `steps` is 0, after an exception, or if the result is unusual. */
 static PyObject *fractions_of(PyObject *order, int64_t steps)
 {
     PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
@@ -101,8 +104,8 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* Return the number of configurations of a motion that were checked, or minus this number if the last ones collide; 0
-   if Python's general code has to answer. */
+/* Check the configurations of a motion, and return how many were checked: a negative number if there is a collision
+   among the last ones. Return 0 if Python's general code has to answer. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {
     int64_t count = PyArray_DIM(fractions, 0);
@@ -120,9 +123,10 @@ static int64_t looked_at(const Configurations *self, const double *start, const 
     return results.verdict == CODE_COLLIDING ? -results.total : results.total;
 }
 
-/* motion(q0, q1, resolution, order): the number of configurations that were checked, negative if the last ones collide;
-   or None. order(steps) returns the fractions of the motion in the order in which they are checked. The function
-   `order` runs in Python, and its exceptions, such as an interrupt, are passed on to the caller. */
+/* motion(q0, q1, resolution, order) returns the number of configurations that were checked, with a minus sign if there
+   is a collision among the last ones; None if Python's general code has to answer. order(steps) is a Python function
+   that returns the fractions of the motion in the order in which they are checked. Exceptions that it raises, such as
+   an interrupt, are passed on to the caller. */
 static PyObject *configurations_motion(Configurations *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 4 || !PyFloat_CheckExact(given[2]))

@@ -1,11 +1,11 @@
-/* Queries for one pair of bodies. Each query is a single call from Python, which suffices in the usual case. */
+/* Queries for one pair of bodies. In the usual case, a query is answered by a single call from Python. */
 
 #include "single.h"
 
 #include <math.h>
 #include <string.h>
 
-/* ONE_PAIR and NO_ROWS of `_settle.py`, and the identity pose. */
+/* The data of the arrays ONE_PAIR and NO_ROWS of `_settle.py`, and the identity pose. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 
@@ -18,7 +18,7 @@ static PyObject *word_exact, *name_packed, *name_handle;
 
 /* One side of a query: a body and its pose. */
 typedef struct {
-    PyObject *packed; /* The reference keeps the pieces alive in case the body changes. */
+    PyObject *packed; /* This reference keeps the packed pieces alive, even if the body gets new ones. */
     int64_t handle;
     Array3 poses;
 } Side;
@@ -35,7 +35,7 @@ static int take_pose(PyObject *given, Array3 *poses)
     return PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4;
 }
 
-/* Take a body, whose class must be exactly Body, and its pose; return false if the body or the pose is unusual. */
+/* Read a body, whose class must be exactly Body, and its pose; return false if the body or the pose is unusual. */
 static int take_side(PyObject *class, PyObject *body, PyObject *pose, Side *side)
 {
     side->packed = NULL;
@@ -71,7 +71,8 @@ static int take_margin(PyObject *given, double *margin)
     return *margin >= 0 && *margin < INFINITY;
 }
 
-/* Return the number of pieces of a body: the rows of the first array behind its handle, see `records.py`. */
+/* Return the number of pieces of a body. This is the number of rows of the first array in the table to which the body's
+   handle points (see `records.py`). */
 static int64_t piece_count(const Side *side)
 {
     return ((const int64_t *)side->handle)[1];
@@ -88,7 +89,7 @@ typedef struct {
     Holder holder;
     Function settle_range, distance_range, measure_left, first_fault;
     void (*release)(void *);
-    long long settle_memory, distance_memory; /* Numbers of bytes for `settle_range` and `distance_range`. */
+    long long settle_memory, distance_memory; /* Bytes that `settle_range` and `distance_range` need. */
 } Pairs;
 
 /* Return the verdict for two bodies; -1 if Python's general code has to answer. */
@@ -104,11 +105,11 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
-    /* Pairs that the fast searches leave open are left to the fallback. */
+    /* In the mode EXACT, pairs that the fast searches leave open are settled by a slower fallback in Python. */
     return mode == CODE_EXACT && (tally[CODE_OPEN] != 0 || verdict == CODE_AMBIGUOUS) ? -1 : verdict;
 }
 
-/* Answer a query about two bodies at poses; the bodies and poses are the arguments from the second one on. */
+/* Answer a query about two bodies at poses. The first argument is the class Body; the bodies and their poses follow. */
 static PyObject *answer(const Pairs *self, int mode, PyObject *const *given, PyObject *margin, PyObject *pairs)
 {
     Side a, b;
@@ -120,7 +121,8 @@ static PyObject *answer(const Pairs *self, int mode, PyObject *const *given, PyO
     return answer_of(mode, verdict);
 }
 
-/* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs): a bool, or None. */
+/* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs) returns a bool, or None if Python's general code has
+   to answer. */
 static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 8 || (given[5] != word_exact &&
@@ -129,7 +131,8 @@ static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t c
     return answer(self, CODE_EXACT, given, given[6], given[7]);
 }
 
-/* classify(Body, a, T_world_a, b, T_world_b, margin, pairs): the number of a verdict, or None. */
+/* classify(Body, a, T_world_a, b, T_world_b, margin, pairs) returns the number of a verdict, or None if Python's
+   general code has to answer. */
 static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t count)
 {
     if (count != 7)
@@ -139,7 +142,8 @@ static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* Indices of the numbers and of the vectors of a `loewner.Distance`, in the order of its fields. */
+/* Indices of the fields of a `loewner.Distance`, in the order in which the class lists them: first numbers, then
+   vectors. */
 enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
 enum { WITNESS_A, WITNESS_B, NORMAL, VECTORS };
 static const char *const field_texts[NUMBERS + VECTORS] = {
@@ -159,7 +163,7 @@ static int is_rigid(const Pairs *self, const Array3 *poses)
            (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.k == poses->count);
 }
 
-/* Measure the piece pairs that the fast searches left open. */
+/* Compute the distances of the piece pairs that the fast searches left open; return whether this succeeded. */
 static int finished(const Pairs *self, const struct distance_range *asked, const struct distance_range_results *left)
 {
     struct measure_left arguments = {
@@ -171,7 +175,7 @@ static int finished(const Pairs *self, const struct distance_range *asked, const
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
 }
 
-/* Measure two bodies at poses that are rigid motions; return false if Python's general code has to answer. */
+/* Compute a Distance's fields for two bodies at rigid poses; return false if Python's general code has to answer. */
 static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
 {
     int8_t status = 0;
@@ -194,10 +198,10 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         return 1;
     if (!isfinite(number[VALUE]))
         return 0;
-    /* The bounds are proven, but the value is only computed. A value outside the bounds is therefore moved to the
-       nearest bound. */
+    /* The bounds are proven, but the value may have rounding errors. A value outside the bounds is therefore replaced
+       by the nearest bound. */
     number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
-    return number[VALUE] != 0; /* NumPy decides the sign of a zero. */
+    return number[VALUE] != 0; /* Zeros are left to Python, because NumPy decides their sign. */
 }
 
 static PyObject *vector_of(const double *entries)
@@ -209,7 +213,7 @@ static PyObject *vector_of(const double *entries)
     return array;
 }
 
-/* Return the field at a given index of a Distance; None if the field was not requested. */
+/* Return the value of a Distance's field with a given index; None if the field was not requested. */
 static PyObject *field_of(const Found *found, int place, int wanted)
 {
     if (place >= VALUE && !wanted)
@@ -217,7 +221,7 @@ static PyObject *field_of(const Found *found, int place, int wanted)
     return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
 }
 
-/* Make a Distance with these fields. The class prevents changes to fields, but not their first assignment. */
+/* Make a Distance with these fields. The class is frozen, so its own method for setting attributes is bypassed. */
 static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
 {
     PyObject *made = new_of_object((PyTypeObject *)class, no_arguments, NULL);
@@ -230,7 +234,8 @@ static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
     return made;
 }
 
-/* distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs): a Distance, or None. */
+/* distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs) returns a Distance, or None if Python's general
+   code has to answer. */
 static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t count)
 {
     Side a, b;
@@ -244,7 +249,7 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
     PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
     if (made != NULL)
         return made;
-    PyErr_Clear(); /* Memory has run out; Python's general code tries again. */
+    PyErr_Clear(); /* If memory has run out, Python's general code tries again. */
     Py_RETURN_NONE;
 }
 

@@ -1,15 +1,16 @@
-/* The functions that `single.h` declares. */
+/* This file defines the functions that `single.h` declares. */
 
 #include "single.h"
 #include "system.h"
 
 #include <string.h>
 
-static pthread_key_t memory_key; /* Key of a `Memory`, which is freed when its thread ends; the key outlasts a fork. */
+/* Key of each thread's `Memory`, which is freed when the thread ends. The key remains valid after a fork. */
+static pthread_key_t memory_key;
 
 typedef struct {
     size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* This padding lets the bytes begin at a cache line. */
+    char head[CACHE_LINE - sizeof(size_t)]; /* Padding, so that `bytes` begins at a cache line. */
     char bytes[];
 } Memory;
 

@@ -1,6 +1,7 @@
 /* This file maps the files that `loewner/bodies/native_files.py` describes. A mapped file is not trusted: its checksum
-   reveals damage, but anyone can compute a checksum. Every size, index and number is therefore checked before a kernel
-   uses it. A failed check reports the name of the array. */
+   reveals damage, but anyone can compute a checksum for a forged file. Every size, index and number in the file is
+   therefore checked before a kernel uses it. If a check fails, the error message names the array or the part of the
+   file. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -18,7 +19,8 @@
 #define SOURCES_LENGTH 64
 #define GOLDEN 0x9E3779B97F4A7C15u
 
-#define MOST ((int64_t)1 << 40) /* MOST limits all counts, so that products of a few counts stay far below overflow. */
+/* Limit on each count, and on the number of entries of an array: sums and small multiples are far from overflow. */
+#define MOST ((int64_t)1 << 40)
 
 /* The counts in the header of a file. */
 typedef struct {
@@ -28,7 +30,7 @@ typedef struct {
 enum { INTEGERS, DOUBLES, SINGLES, BYTES };
 static const int64_t item_sizes[] = {8, 8, 4, 1};
 
-/* Path of the file that this thread opens. */
+/* Path of the file that this thread is opening. */
 static _Thread_local const char *opened_path;
 
 static loewner_status damaged(const char *what)
@@ -107,7 +109,8 @@ static loewner_status read_header(const File *file, const char *path, Counts *co
     return LOEWNER_OK;
 }
 
-/* Find an array with a given type and shape in the directory; -1 stands for any number of rows. */
+/* Look up an array by its number in the directory, and check its type and shape; if `rows` is -1, any number of rows is
+   allowed. Write the array's address to `data`, and its number of rows to `count` unless `count` is NULL. */
 static loewner_status take(const File *file, int64_t number, int64_t type, int64_t rows, int64_t columns,
                            const char *name, const void *data, int64_t *count)
 {
@@ -127,7 +130,7 @@ static loewner_status take(const File *file, int64_t number, int64_t type, int64
     return LOEWNER_OK;
 }
 
-/* The numbers that an array may hold. */
+/* Which numbers an array may hold. */
 typedef enum { ANY, NOT_NAN, FINITE } Allowed;
 
 /* Return whether an array of singles or doubles holds only allowed numbers. */
@@ -143,15 +146,15 @@ static int are_allowed(const void *numbers, int64_t type, int64_t count, Allowed
     return is;
 }
 
-/* The required type and columns of an array of a pack or a surface, its name, and the numbers that it may hold. Its
-   number of rows is checked later. */
+/* The type and the number of columns that an array of a pack or a surface must have, the array's name for error
+   messages, and the numbers that it may hold. The number of rows is checked later. */
 typedef struct {
     int64_t type, columns;
     const char *name;
     Allowed allowed;
 } Kind;
 
-/* Find consecutive arrays of given kinds. */
+/* Look up consecutive arrays, beginning with the number `at`, and check each array against its kind. */
 static loewner_status take_arrays(const File *file, int64_t at, const Kind *kinds, int count, Array2 *arrays)
 {
     for (const Kind *kind = kinds; kind < kinds + count; kind++, at++, arrays++) {
@@ -171,7 +174,7 @@ static int is_within(const int64_t *numbers, int64_t count, int64_t least, int64
     return is;
 }
 
-/* Return whether the starts of ranges rise from 0 to a total. */
+/* Return whether the starts of ranges begin with 0, never decrease, and end with a total. */
 static int rises(const int64_t *starts, int64_t count, int64_t total)
 {
     int is = starts[0] == 0 && starts[count - 1] == total;
@@ -187,8 +190,8 @@ static void leave_bytes(int8_t **bytes)
     free(*bytes);
 }
 
-/* Check the nodes of a large hull (`directions.py`), which follow its vertices. Each node has two numbers; all nodes
-   together have `room` numbers. */
+/* Check the nodes of a large hull (see `directions.py`), which are stored after its vertices. Each node consists of two
+   numbers, and all nodes together of `room` numbers. */
 static loewner_status check_nodes(const double *nodes, int64_t room, int64_t vertices)
 {
     int64_t count = room / 2;
@@ -207,7 +210,7 @@ static loewner_status check_nodes(const double *nodes, int64_t room, int64_t ver
                    "points: nodes");
             continue;
         }
-        /* Children must come after their parents, so that no walk goes back. */
+        /* Children must come after their parents, so that every walk through the nodes ends. */
         EXPECT((double)k < first && first <= (double)(count - 4) && depth[k] < DEEPEST, "points: nodes");
         for (int64_t child = (int64_t)first; child < (int64_t)first + 4; child++)
             if (depth[child] <= depth[k])
@@ -236,8 +239,8 @@ static loewner_status check_pieces(const struct pieces *pack, int64_t surfaces)
     return LOEWNER_OK;
 }
 
-/* Check the trees over the pieces of bodies: the groups of a body must be contiguous, and lead only to pieces of the
-   same body. */
+/* Check the trees over the pieces of bodies: the groups of a body must be stored one after another, and their children
+   must be groups or pieces of the same body. */
 static loewner_status check_trees(const struct pieces *pack)
 {
     const int64_t *roots = pack->roots.data, *starts = pack->piece_start.data, *children = pack->children.data;
@@ -256,8 +259,8 @@ static loewner_status check_trees(const struct pieces *pack)
                 EXPECT(child == -1 || (first <= ~child && ~child < last), "trees");
                 continue;
             }
-            /* Each group must have only one parent, because a walk through a graph that is not a tree would follow all
-               paths. */
+            /* Each group must have only one parent: otherwise, a walk would visit the group again for each path that
+               leads to it. */
             EXPECT(begin <= child && child < group && !has_parent[child], "trees");
             has_parent[child] = 1;
             if (height[group] <= height[child])
@@ -310,7 +313,7 @@ static const Kind surface_kinds[SURFACE_ARRAYS] = {
     {SINGLES, 1, "diagonals of a surface", NOT_NAN},
 };
 
-/* Check the tree over the triangles of a surface (`triangle_tree.py`). */
+/* Look up the arrays of a surface, and check the tree over its triangles (see `triangle_tree.py`). */
 static loewner_status take_surface(const File *file, int64_t at, Surface *surface)
 {
     TRY(take_arrays(file, at, surface_kinds, SURFACE_ARRAYS, (Array2 *)surface));
@@ -336,7 +339,7 @@ static loewner_status take_surface(const File *file, int64_t at, Surface *surfac
                    "children of a surface");
             continue;
         }
-        /* The node must be the only parent of the child. */
+        /* This node must be the child's only parent. */
         EXPECT(node < child && child < nodes && depth[child] == 0 && depth[node] < SURFACE_LEVELS,
                "children of a surface");
         depth[child] = (int8_t)(depth[node] + 1);
@@ -362,7 +365,7 @@ static loewner_status link_surfaces(File *file, Cutting cutting)
 
 /* -- robots -------------------------------------------------------------------------------------------------------- */
 
-static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* Number of values of a joint, by its kind in `columns.py`. */
+static const int64_t widths[] = {0, 1, 1, 3, 7, 4}; /* Number of values of a joint of each kind in `columns.py`. */
 
 static loewner_status take_robot(File *file)
 {
@@ -418,7 +421,7 @@ static loewner_status take_robot(File *file)
     return LOEWNER_OK;
 }
 
-/* The names are strings, one after another, each with its terminator. */
+/* Read the names, which are stored one after another, each terminated by a zero byte. */
 static loewner_status take_names(File *file, int64_t count)
 {
     const char *text;

@@ -1,4 +1,5 @@
-/* This file finds the machine code next to this library, for the highest processor level that this machine supports. */
+/* This file loads the compiled kernels. They are in files next to this library, one for each processor level. The file
+   for the highest level that this machine supports is loaded; if it cannot be used, the next lower level is tried. */
 
 #define _GNU_SOURCE
 #include "internal.h"
@@ -69,7 +70,7 @@ static Kernels found;
 static char why_not[400];
 static pthread_once_t once = PTHREAD_ONCE_INIT;
 
-/* Load one file of kernels; return false, with the reason, if the file cannot be used. */
+/* Load one file of kernels. If the file cannot be used, write the reason to `why_not` and return false. */
 static int load(const char *path, const char *level)
 {
     char expected[200];

@@ -63,7 +63,7 @@ def _name(kind: str) -> str:
 def _of_function(text: str, used: set[str]) -> str:
     """Rewrite the text of a function; add the kinds of numbers in its fused products to `used`."""
     lines = text.split("\n")
-    uses = Counter(_VALUE.findall(text))  # The definition of a name counts as a use.
+    uses = Counter(_VALUE.findall(text))  # The count of a name includes its definition.
     products = dict[str, tuple[int, str, str]]()  # Line and factors of each product in the current block.
     for at, line in enumerate(lines):
         if not line.startswith(" "):

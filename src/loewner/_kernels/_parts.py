@@ -26,11 +26,11 @@ from loewner._kernels._numba import (
     untyped_passes,
 )
 
-_config: Any = numba.config  # Numba's settings are created at run time and have no types.
+_config: Any = numba.config  # Numba's settings are created at run time and have no type annotations.
 
-# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before typing,
-# literals as types, and operations on whole arrays in one loop. Without these passes, a kernel that used such a feature
-# would not compile, or would be slower.
+# Numba's passes for features that kernels do not use: `with` blocks, closures, functions that are inlined before types
+# are inferred, literals as types, and single loops for several operations on whole arrays. These passes are left out,
+# so a kernel that used such a feature would not compile, or would be slower.
 NOT_NEEDED = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
@@ -81,14 +81,14 @@ class PartLibrary(_FusedLibrary):
     are copied, and hidden, because their names differ between processes.
     """
 
-    # The listener is called with the key of each part that is in the store.
+    # Function that is called with the key of each part that is read from the store or written to it.
     listener: Callable[[str], None] | None = None
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.called: list[JITCodeLibrary] = []
         self.key = ""  # Key of the part in the store; empty for a part that is only in memory.
-        self.home = ""  # The kernel module from which the part comes.
+        self.home = ""  # Name of the kernel module that defines the part.
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Run Numba's passes over the functions of a module; Numba itself also prepares passes for each declaration."""
@@ -148,7 +148,8 @@ class PartLibrary(_FusedLibrary):
 
 RUNTIME = "Numba's run time"
 
-# Parts by key. Each key has only one object, because two libraries that define the same functions cannot be linked.
+# Parts by key. There is only one object for each key, because two libraries that define the same functions cannot be
+# linked together.
 _read: dict[str, PartLibrary] = {}
 
 
@@ -189,7 +190,7 @@ def everything_called(
     return list(reached)
 
 
-CHUNK = 32  # Link CHUNK modules at a time, because linking to a larger module takes longer.
+CHUNK = 32  # Number of modules that are linked at a time; linking to a larger module takes longer.
 
 
 def in_one(modules: list[Any]) -> Any:
@@ -257,7 +258,8 @@ class PartCompiler(Compiler):
         context.get_executable, context.add_dynamic_addr = _key, partial(_address, context)
         self.state.library = PartLibrary(context.codegen(), func.__qualname__)
         self.state.library.home = func.__module__
-        # Proceed like Numba, except for the function's name, because Numba numbers functions anew in each process.
+        # Proceed like Numba, but choose the function's name here: Numba's names contain numbers that may differ in each
+        # process.
         identity = FunctionIdentity.from_function(func)
         identity.unique_id, identity.unique_name = 0, f"{func.__module__}.{func.__qualname__}"
         self.state.func_id = identity

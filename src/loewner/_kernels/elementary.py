@@ -25,13 +25,14 @@ from loewner._kernels.codes import (
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import absolute, power_of_two, round_to_even, select, signed_one, sqrt
 
-# LOG_2 is log 2 as a sum of two doubles. The first double has 32 bits, so its products with an exponent are exact.
+# The natural logarithm of 2, as a sum of two doubles. The first double has only 32 significant bits, so its product
+# with an exponent is exact.
 LOG_2 = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
 
-# PI is π as a sum of two doubles.
+# The number π, as a sum of two doubles.
 PI = float.fromhex("0x1.921fb54442d18p+1"), float.fromhex("0x1.1a62633145c07p-53")
 
-# Arc tangents of 0, 1/8, ..., 1 as sums of two doubles.
+# Arc tangents of 0, 1/8, ..., 1. Each is the sum of an entry of ARCS and an entry of RESTS.
 ARCS = np.array(
     [
         float.fromhex(text)
@@ -54,11 +55,12 @@ RESTS = np.array(
 
 PER_LOG_2 = 1.4426950408889634
 
-MANTISSA = 52  # Number of bits of the mantissa.
-BIAS = 1023  # BIAS is added to exponents.
+MANTISSA = 52  # Number of stored bits of the mantissa of a double.
+BIAS = 1023  # Number that is added to the exponent of a double when it is stored.
 SMALLEST = 2.0**-1022  # The smallest normal number.
 SQRT_2 = float(np.sqrt(2.0))
-OVERFLOW, UNDERFLOW = 709.782712893384, -745.2  # The exponential is infinite above OVERFLOW, and zero below UNDERFLOW.
+# `exponential` returns infinity for arguments of at least OVERFLOW, and 0 for arguments of at most UNDERFLOW.
+OVERFLOW, UNDERFLOW = 709.782712893384, -745.2
 
 
 @intrinsic
@@ -85,7 +87,7 @@ def number_of(typingctx, bits):
 def _reduced_exponential(x, k):
     """e^x / 2^k for one number or for eight, where k is the integer nearest to x / log 2."""
     r = (x - k * LOG_2[0]) - k * LOG_2[1]
-    p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # The coefficients are 1/13!, 1/12!, and so on.
+    p = 1.0 / 6227020800.0 * r + 1.0 / 479001600.0  # The coefficients are 1/n! from n = 13 down to n = 2.
     p = p * r + 1.0 / 39916800.0
     p = p * r + 1.0 / 3628800.0
     p = p * r + 1.0 / 362880.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from loewner._kernels.columns import CACHE_LINE
 
-ENTRIES = 3  # Each array has ENTRIES entries: address, rows and columns (1 column for a flat array).
+ENTRIES = 3  # Number of entries of a table for each array: address, rows and columns (1 column for a flat array).
 
 
 def table_of(arrays: Any) -> Any:
@@ -206,9 +206,9 @@ class MotionTables(NamedTuple):
 # Types of the arrays of `MotionTables`, in the notation of `entries`.
 MOTION_WORDS = "I1 I1 F2 F2 F1 I1 I1 I1 F1 F1"
 
-# The table of `MotionTables` follows the table of a `Problem`. PROBLEM_ROWS and MOTION_ROWS give the row of each array
-# in these tables, and MOTIONS is the byte at which the table of `MotionTables` begins. TABLE is the number of words of
-# both tables, which fill whole cache lines.
+# The table of a `Problem` is followed by the table of its `MotionTables`. PROBLEM_ROWS and MOTION_ROWS map the name of
+# an array to its row, counted from the start of the first table. MOTIONS is the number of bytes before the second
+# table. TABLE is the number of words in both tables together, which fill whole cache lines.
 PROBLEM_ROWS = {name: row for row, name in enumerate((*Tree._fields, *Problem._fields[1:]))}
 MOTION_ROWS = {name: row for row, name in enumerate(MotionTables._fields, len(PROBLEM_ROWS))}
 MOTIONS = 8 * ENTRIES * len(PROBLEM_ROWS)

@@ -62,18 +62,18 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-BLOCK = 128  # A block holds up to BLOCK piece pairs, which are settled together.
+BLOCK = 128  # Maximum number of piece pairs in a block; the pairs of a block are settled together.
 
 NEWTON_STEPS = 12
 
-# Error that a shape matrix Q causes. For a squared width nᵀQn, the unit is the roundoff times trace(Q) |n|²; for a
-# product Qn, the unit is the roundoff times trace(Q) |n|. The constant covers both precisions; single precision has the
-# larger errors.
+# Bound on the errors that a shape matrix Q causes in a squared width nᵀQn, in units of the roundoff times trace(Q)
+# |n|², and in a product Qn, in units of the roundoff times trace(Q) |n|. The bound holds for both precisions; the
+# errors are larger in single precision.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # certified.md B4, B5
 
-# The search for s is given up only if F differs from 1 by at least SURE (SINGLE_SURE in single precision). The band
-# around 1 costs little and leaves room for the rounding of F (see `_doubt`). No proof depends on the band, because a
-# pair that is given up is left OPEN.
+# Smallest difference between F and 1 at which the search for s may be given up, in double and in single precision. If F
+# is nearer to 1, the search goes on; this costs little time, and leaves room for the rounding error of F (see
+# `_doubt`). No proof depends on these numbers, because a pair whose search is given up is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 
@@ -249,8 +249,8 @@ def _apart(a, b, r, n, s, size, unit, sure):
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
-    # If the ellipsoids are apart, F > 1 and n·r > 4 at the best s. Requiring that n·r exceeds a half, and that t is
-    # well above zero, keeps squares from underflowing.
+    # If the ellipsoids are apart, F > 1 and n·r > 4 at the best s. The conditions that n·r exceeds 1/2, and that t is
+    # well above zero, prevent squares from underflowing.
     separated = (low > 0.5) & (t > unit * (low * low)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (v * w))
     u = 1.0 - s
     most = s * u * along + absolute(u * u * nPn - s * s * nQn) * maximum(s, u)
@@ -271,8 +271,8 @@ def _common(a, b, r, n, s, size, unit, sure):
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
     slack = miss + position_error(size, unit)
-    # In each ellipsoid, the level of the point, (1-s)|Fᵀn| or s|Gᵀn|, must be at most 1 minus a bound on its rounding
-    # error.
+    # The level of the point is (1-s) √(nᵀPn) in a and s √(nᵀQn) in b. Each level must be at most 1 minus a bound on its
+    # rounding error.
     error_a = SHAPE_ERROR * unit * trace(a.Q)
     error_b = SHAPE_ERROR * unit * trace(b.Q)
     free_a = 1.0 - 32.0 * unit - u * error_a * length * a.inverse_sigma
@@ -557,7 +557,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
-        # Put the larger ellipsoid second, so that s is small and keeps its digits even if the sizes are very different.
+        # Put the larger ellipsoid second, so that s is small and loses no digits even if the sizes are very different.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)
@@ -567,7 +567,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
         q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
         r = offset_between(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
-        # An ellipsoid that is a single point goes first, because the common point is computed from the first center.
+        # Put an ellipsoid that is a single point first, because the common point is computed from the first center.
         swap = (swap & (trace(p.Q) > 0.0)) | (trace(q.Q) <= 0.0)
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)

@@ -22,17 +22,18 @@ from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Pairs of polytopes need only a few rounds, because they have finitely many vertices; curved pieces converge at least
-# linearly. MAX_ROUNDS only prevents an endless loop.
+# Maximum number of rounds of a search, which only prevents an endless loop. Pairs of polytopes need only a few rounds,
+# because they have finitely many vertices; for curved pieces, the search converges at least linearly.
 MAX_ROUNDS = 512
 
-# A distance is final when its upper and lower bounds differ by less than DISTANCE_TOLERANCE times the distance plus
-# ERROR_SHARE times the proven error bound, which usually far exceeds the error.
+# The search for a distance ends when its computed upper and lower bounds differ by at most DISTANCE_TOLERANCE times the
+# distance, plus ERROR_SHARE times the proven bound on rounding errors. The actual errors are usually far smaller than
+# the proven bound.
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 
-# Pairs within 128 rounding errors of touching, about 1e-12 of the lengths involved, count as touching. TOUCH_ROUNDINGS
-# is a choice, not a bound: it only has to exceed the errors of the points themselves.
+# Distance at which pairs still count as touching, in rounding errors; it is about 1e-12 of the lengths involved. The
+# number is a choice, not an error bound: it only has to exceed the errors of the points themselves.
 TOUCH_ROUNDINGS = 128.0
 
 
@@ -143,7 +144,8 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
             return TOUCHING, lower - radii, length - radii, k
         if length <= error or not direction(S, k, v, d) > 0.0:
             break
-        # Rounding can make a round useless. Several useless rounds in a row mean that no more progress is possible.
+        # Because of rounding, a round may fail to shorten the distance. After three such rounds in a row, no more
+        # progress is expected.
         if length >= before * (1.0 - UNIT_ROUNDOFF):
             stalls += 1
             if stalls > 2:

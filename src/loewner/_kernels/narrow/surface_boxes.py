@@ -23,8 +23,8 @@ from loewner._kernels.simd.vectors import absolute, load_single, maximum, minimu
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
-# Allowed error along each of the fifteen axes, relative to the lengths involved: BENDS times the deviations of both
-# rotations from orthonormality, plus ROUNDINGS.
+# Allowed error along each of the fifteen axes, relative to the lengths involved: BENDS times the sum of the deviations
+# of both rotations from orthonormality, plus ROUNDINGS.
 BENDS = 8.0  # certified.md B39
 ROUNDINGS = 64.0 * SINGLE_ROUNDOFF  # certified.md B40
 
@@ -80,7 +80,7 @@ def is_solid(P):
     return P.layout[P.piece, KIND] == SOLID
 
 
-# `tree_at` reads the tree of a surface, given the address of the table of the tree's arrays.
+# Function that reads the tree of a surface from a table of arrays, given the address of the table.
 tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
 
 
@@ -365,7 +365,7 @@ def box_in_frame(A, B, shift, far, size):
     R = rotation_of(A)
     slack = _slack(R, far, size)
     m = h = (0.0, 0.0, 0.0)
-    # The loops here and below save code, because the large support function is copied wherever it is called.
+    # The loops here and below keep the code small, because the large support function is inlined wherever it is called.
     for axis in range(3):
         middle, half = _extent(B, shift, (R[axis], R[axis + 3], R[axis + 6]), slack)
         m, h = (m[1], m[2], middle), (h[1], h[2], half)

@@ -25,7 +25,7 @@ from loewner._kernels.simd.memory import integers_at
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-MEETING = -1  # If two pieces collide, MEETING is returned in place of the number of open pairs.
+MEETING = -1  # Number that is returned for two pieces that collide, in place of the number of open pairs.
 
 
 class Asked(NamedTuple):
@@ -64,14 +64,16 @@ def surface_pair(A, B, near, far, memory, listed_at, room, steps=NO_LIMIT):
         AMBIGUOUS if pairs are open, or if it is not known whether a part lies within a solid.
     open_pairs : int
     """
-    # Addresses of NumPy arrays have another integer type. Without this conversion, everything would be compiled again.
+    # For Numba, addresses of NumPy arrays have another integer type. Without the conversion to int64, all functions
+    # that receive the addresses would be compiled again for this type.
     query = Asked(near, far, np.int64(memory), np.int64(listed_at), room)
     walk.left_of(query.memory)[0] = steps
     return _settled(A, B, query) if is_surface(A) else _settled(B, A, query)
 
 
-# A call copies the records of both pieces through memory (76 words), and the callee counts references again. Therefore,
-# this is the only call that every pair makes, and the callee begins by borrowing the arrays.
+# If a function that receives both pieces is not inlined, the records of the pieces are copied through memory (76
+# words), and the function counts references to arrays again. Therefore, `_settled` is the only such function that every
+# pair needs, and it begins by borrowing the arrays.
 @apart
 def _settled(A, B, asked):
     """Settle two pieces as `surface_pair` does, where A is a surface."""
@@ -144,7 +146,8 @@ def _leaves(A, B, child_a, child_b, shift, size, asked, open_pairs):
         if far == 0.0:
             bits &= ~beside
         else:
-            # Pairs whose distance is within eight corner errors of a limit are left to the search.
+            # Pairs are left to the search unless their distance is below `near` or above `far` by more than eight
+            # corner errors.
             squared = squared_distances(a, b)
             within = max(near - 8.0 * error, 0.0)
             beyond = far + 8.0 * error
@@ -187,7 +190,8 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, asked, open_pairs):
             status, _, _ = walk.decided(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
             status, _, _, _ = walk.measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
-        # The search finds a contact up to rounding, so the error must be less than the allowed distance.
+        # The search finds contact only up to rounding errors, so these must be less than the distance that counts as
+        # contact.
         if status in (TOUCHING, OVERLAPPING) and near > error:
             return MEETING
         if status != APART:

@@ -64,37 +64,38 @@ from loewner._kernels.simd.vectors import LANES, SINGLE_LANES, lowest_bit
 from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
 
-WAITING = 512  # Up to WAITING piece pairs may wait for the exact search.
+WAITING = 512  # Maximum number of piece pairs that wait for the exact search.
 
-GROUPS = MOST // SINGLE_LANES  # A block has GROUPS groups of sixteen configurations.
+GROUPS = MOST // SINGLE_LANES  # Number of groups of sixteen configurations in a block.
 
-# TOGETHER pairs of bodies are culled together. Small batches start with a group of FIRST pairs: these usually collide,
-# and the other pairs are then skipped.
+# Maximum number of pairs of bodies that are culled together, and number of pairs with which a small batch starts: these
+# first pairs usually collide, and the other pairs are then skipped.
 TOGETHER, FIRST = 64, 4
 
 
 MEMORY = Arena(
-    # The field `pair` is MOST p + s for pair p at configuration s; the other fields are rows of the placement.
+    # The field `pair` holds MOST p + s for pair p at configuration s; the other fields hold rows of the placement.
     listed=pair_list.arena(BLOCK),
-    pieces_a=integers(BLOCK),  # Rows of the listed pieces in the packed pieces.
+    pieces_a=integers(BLOCK),  # Pieces of the listed pairs, as rows of the packed pieces.
     pieces_b=integers(BLOCK),
     found_a=integers(BLOCK),  # Pieces found in trees.
     found_b=integers(BLOCK),
-    tier=small_integers(BLOCK),  # The result of the certificate for each listed pair.
-    normals=floats(3 * BLOCK),  # Contact normals that the certificate writes.
-    waiting=pair_list.arena(WAITING),  # Pairs that wait for the exact search, by their rows in the packed pieces.
+    tier=small_integers(BLOCK),  # Tiers of the listed pairs, written by the certificate.
+    normals=floats(3 * BLOCK),  # Contact normals of the listed pairs, written by the certificate.
+    # Piece pairs that wait for the exact search; the pieces are given by their rows in the packed pieces.
+    waiting=pair_list.arena(WAITING),
     directions=floats(WAITING, 3),  # Contact normals of the waiting pairs.
-    live=integers(GROUPS),  # Bits of the configurations that may still be free.
+    live=integers(GROUPS),  # For each group, a mask of the configurations that may still be free.
     verdicts=small_integers(MOST),  # Verdicts of the configurations.
-    tiers=small_integers(MOST),  # Tiers that settled the configurations.
+    tiers=small_integers(MOST),  # Tiers by which the configurations were settled.
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
     exact=raw(exact.SIZE),
-    # Pairs that the bounds leave open, each with the first of sixteen configurations.
+    # Pairs of bodies that the bounds leave open: MOST p + s for pair p and the first configuration s of a group.
     codes=integers(TOGETHER * GROUPS),
-    masks=integers(TOGETHER * GROUPS),  # Bits of the configurations among these sixteen that the bounds leave open.
+    masks=integers(TOGETHER * GROUPS),  # Masks of the configurations in the group for which the pair is open.
     way=floats(MOST, DOF),  # Configurations of a motion.
-    placed=integers(MOVING),  # For each moving body, whether it is placed.
+    placed=integers(MOVING),  # For each moving body, whether it has been placed.
     placement=PLACEMENT,
 )
 _listed_of, _pieces_a_of, _pieces_b_of, _found_a_of, _found_b_of, _tier_of, _normals_of, _waiting_of = MEMORY.accessors(
@@ -269,7 +270,7 @@ def _certify(query, keep, count, held):
         if not certificate.certify_best(
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
-            tier[:count] = OPEN  # An overflow made the pose of a link non-rigid, so no pair of the list is proven.
+            tier[:count] = OPEN  # An overflow made the pose of a link non-rigid, so no pair in the list is proven.
     refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
@@ -423,7 +424,7 @@ def _settle_block(query, Q, first, last, S):
             p = _pair(codes[n])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if problem.margins[p] != keep:
-                # All pairs of a list must have the same margin.
+                # All pairs in a list must have the same margin.
                 if count > 0:
                     held = _certify(query, keep, count, held)
                     count = 0

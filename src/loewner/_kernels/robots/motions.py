@@ -91,62 +91,65 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS
 from loewner._kernels.trees.piece_tree import open_group, reach_of
 
-# Largest deviation [m] of points from their chords in the first intervals. FIRST_OFF is a choice, not a bound.
+# Largest deviation [m] of points from their chords that is allowed in the first intervals of a motion. The value is a
+# choice, not an error bound.
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# CLEAR_ROUNDINGS is slightly more than the distance (in rounding errors) at which `collide` may report contact.
-# Therefore, `collide` reports no contact at any configuration of a free motion.
+# Distance that pairs must keep on a free motion, in rounding errors. It is slightly more than the distance at which
+# `collide` may report contact, so `collide` reports no contact at any configuration of a free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
-# An interval that is not proven counts as AMBIGUOUS once its points move by less than DECIDED times the tolerance. The
-# rest of the tolerance is left for the convergence of the search.
+# An unproven interval counts as AMBIGUOUS once its points move by no more than this fraction of the tolerance;
+# `_enough` computes the exact limit. The rest of the tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
-# If joints may stray, intervals are settled once points move by less than SETTLED_STRAY times V(δ), see certified.md.
+# If joints may stray, SETTLED_STRAY times V(δ) takes the place of the tolerance in `_enough` if it is larger (see
+# docs/certified.md).
 SETTLED_STRAY = 0.125
 
-# Strays count as rounding if they move no point by more than ROUNDED_STRAY times the tolerance. This is the case for
-# bodies that follow a motion.
+# Strays are treated as rounding errors if they move all points by less than ROUNDED_STRAY times the tolerance. This is
+# the case for bodies that follow a motion.
 ROUNDED_STRAY = 1e-3
 
-# Up to WAITING unproven intervals of a block wait to be halved. When the list is full, all of them are halved.
+# Maximum number of unproven intervals of a block that wait to be halved. When the list is full, all of them are halved.
 WAITING = 256
 
-# Up to LISTED piece pairs of a block wait to be searched. Each pair has LISTED_WAYS numbers, scalars first.
+# Maximum number of piece pairs of a block that wait to be searched, and number of floats for each of them, scalars
+# first.
 LISTED = 128
 LISTED_WAYS = 6 * LANES
 _NORMALS = LANES
 
-# The answers for ANSWERS pairs of surfaces in a block are kept for other parts of the same surfaces, with ANSWER
-# integers for each pair.
+# Maximum number of piece pairs with a surface whose answers are kept during a block, to be used for other parts of the
+# same surface; and number of integers for each such pair.
 ANSWERS, ANSWER = 64, 5
 
-# FIRST_PAIRS pairs are tested before the bounds for whole blocks are compared, because planners put pairs that often
-# collide first.
+# Number of pairs of bodies that are tested before the bounds for a whole block are compared. Planners put the pairs
+# that often collide first.
 FIRST_PAIRS = 4
 
-# Two pieces are tested immediately, at their nearest configuration, if their ellipsoids are nearer to each other than
-# DEEP times the distance at which they touch: most such pieces collide.
+# Two pieces are tested immediately, at the configuration at which they are nearest, if the centers of their ellipsoids
+# are then nearer to each other than DEEP times the distance at which the ellipsoids touch. Most such pieces collide.
 DEEP = 0.7
 
-PARTS = 8  # A cut divides an interval into PARTS parts.
+PARTS = 8  # Number of parts into which a cut divides an interval.
 
-# The work for triangles may grow by the factor MORE after one cut, and by MOST_MORE after two cuts or if no cut
-# follows.
+# Factors by which the work for triangles may grow: MORE after one cut, and MOST_MORE after two or more cuts, or if no
+# cut follows.
 MORE, MOST_MORE = 8, 64
 
-# A cut divides a width by eight, and fractions of 1 have 53 bits, so after seventeen cuts an interval can be too narrow
-# for another cut.
+# Maximum number of nested cuts. A cut divides an interval's width by eight, and fractions of 1 have 53 bits, so after
+# seventeen cuts an interval can be too narrow for another cut.
 DEPTH = 19
-STACK = 4 * DEPTH  # Each cut is three halvings, and each halving leaves one part waiting.
+STACK = 4 * DEPTH  # Three halvings lead to a part of a cut, and each halving leaves one half waiting.
 
 _POSES = 2 * (PARTS + 1)
 
-# Entries of a tally: placed configurations, searches, and remaining steps. Each placed configuration and each search is
-# one step. In a block, each of the following is one step, too: a moving body, a group of static bodies, a pair of
-# bodies that may be near, a placed piece, a pair of pieces, and a group of boxes over pieces. A walk through surfaces
-# takes one step for each box, triangle or point that it visits.
+# Indices of a tally's entries: the numbers of placed configurations, of searches, and of remaining steps. Each placed
+# configuration and each search counts as one step. In a block, each of the following also counts as one step: a moving
+# body, a group of static bodies, a pair of bodies that may be near each other, a placed piece, a pair of pieces, and a
+# group of boxes around pieces. A walk through surfaces takes one step for each box, triangle or point that it visits.
 POSES, SEARCHES, STEPS_LEFT = 0, 1, 2
 
 
@@ -219,33 +222,37 @@ _RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
 
 MEMORY = Arena(
     times=floats(LANES),  # Times of the block.
-    scratch=floats(PIECE),  # A piece relative to another body.
-    box=floats(6),  # The box of a piece in a block, in the frame of another body.
-    tree_stack=integers(LEVELS * WIDE),  # Groups and pieces of a tree over pieces that remain to be compared.
-    near_pairs=integers(PAIRS),  # The entry is 1 for pairs that may be near each other within a block.
-    listed=integers(LISTED, 5),  # Piece pairs to search: pair, i, j, intervals, tested configurations.
-    listed_ways=floats(LISTED * LISTED_WAYS),  # The other numbers of `Near`, and the result of `sweeps.near_piece`.
+    scratch=floats(PIECE),  # Center and shape of a piece as seen from another body.
+    box=floats(6),  # Box around a piece at the eight configurations of a block, in the frame of another body.
+    tree_stack=integers(LEVELS * WIDE),  # Groups and pieces that remain to be compared, from a tree over pieces.
+    near_pairs=integers(PAIRS),  # 0 for pairs with a static body that are apart in the block; otherwise 1.
+    # Piece pairs to search: pair of bodies, pieces i and j, masks of intervals and of tested configurations.
+    listed=integers(LISTED, 5),
+    # Other numbers of `Near` for these pairs, and the results of `sweeps.near_piece`.
+    listed_ways=floats(LISTED * LISTED_WAYS),
     answers=integers(ANSWERS, ANSWER),  # See `_row_of_answers`.
     relative=floats(4, 4, 4),  # The identity, and two poses of a body relative to another body.
-    waiting=integers(WAITING, 3),  # Intervals to halve: row in the list of piece pairs, number, and whether undecided.
+    # Intervals to halve: row of the pair in `listed`, number of the interval, and whether it is undecided.
+    waiting=integers(WAITING, 3),
     waiting_normals=floats(WAITING, 3),
-    cut_times=floats(DEPTH, PARTS + 1),  # Times at which intervals are cut, by depth.
-    # Poses at the times of `cut_times`, by depth: first of one body, then of the other.
+    cut_times=floats(DEPTH, PARTS + 1),  # Times at which intervals are cut, for each depth.
+    # Poses at these times, for each depth: first the poses of one body, then the poses of the other body.
     cut_poses=floats(DEPTH * _POSES, 4, 4),
-    ends=floats(4, 4, 4),  # Poses at both ends of an interval to be halved: first of one body, then of the other.
-    stack=integers(STACK, 3),  # Parts to halve: depth, first and last time.
+    # Poses at both ends of an interval to be halved: first the poses of one body, then the poses of the other body.
+    ends=floats(4, 4, 4),
+    stack=integers(STACK, 3),  # Parts to halve: depth, and indices of the first and the last time.
     stack_normals=floats(STACK, 3),
     gjk=gjk_fast.MEMORY,
     exact=raw(exact.SIZE),
     vectors=floats(3, 4),  # The careful search uses this field and the next one.
     simplex=floats(4, 9),
     course=raw(8 * MOST_POINTS * DOF),
-    part=raw(8 * MOST_POINTS * DOF),  # Control points of the course in a block.
+    part=raw(8 * MOST_POINTS * DOF),  # Control points of the part of the course in a block.
     scratch_points=floats(MOST_POINTS),  # Scratch for `write_part`.
     part_times=floats(LANES),  # Eight fractions; `gaps` holds the gaps at these fractions.
     gaps=floats(4 * LANES),
     planes=floats((2 + 4 * LINKS) * LANES),  # See `strays`.
-    cut_links=floats(_LINK_ENTRIES),  # Links in an interval that is cut, see `kinematics`.
+    cut_links=floats(_LINK_ENTRIES),  # Placed links in an interval that is cut, see `kinematics`.
     rates=_RATES,
     ways=floats(MOVING, 3),  # `bend`, `speed` and V(δ) of moving bodies, relative to the world.
     swept=Arena(
@@ -253,11 +260,12 @@ MEMORY = Arena(
         done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
     ),  # Placement of a block.
     order=integers(PAIRS),  # Order of the pairs.
-    off=floats(DOF),  # Allowed deviations of the values from the motion.
+    off=floats(DOF),  # How far the values of a configuration may deviate from the motion.
     strays=_RATES,  # Deviations of the joints, computed from `off`.
-    # How far points of bodies may be off at the start [m], and how fast this distance grows.
+    # How far points of bodies may be off at the start [m], and how much this distance grows until the end.
     growth=floats(MOVING + STANDING, 2),
-    most_growth=floats(3),  # Largest entries of `growth` for static bodies, and whether any body may be off.
+    # For static bodies, the largest distance at the start and its growth; and whether any body may be off.
+    most_growth=floats(3),
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(
     "times scratch relative waiting waiting_normals"
@@ -393,7 +401,7 @@ def _triangles_apart(
             return False
         i, j, bend, speed, stands = j, i, back.bend, back.speed, False
         poses, first, last, still, fixed_first, fixed_last = still, fixed_first, fixed_last, poses, first, last
-    if not stands:  # The frame of a static body might not be orthonormal.
+    if not stands:  # For a static body, stay in the world frame, because the body's own might not be orthonormal.
         _relative(still, fixed_first, poses, first, to, 1)
         _relative(still, fixed_last, poses, last, to, 2)
         poses, first, last, still, fixed_first = to, 1, 2, to, 0
@@ -728,7 +736,7 @@ def _halve(motion, near, back, low, high, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a, False  # The two times are too close together for eight parts.
+                return AMBIGUOUS, a, False  # The two times are too close together for another cut.
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -978,7 +986,7 @@ def _search(motion, e, found, waiting_count, tally):
         live &= ~answers[row, 3]
         tested |= answers[row, 4]
     while live != 0:
-        # Go backward from the end, because most colliding motions of a planner collide there.
+        # Start with the last interval, because most colliding motions of a planner collide near the end.
         k = highest_bit(live)
         if tally[STEPS_LEFT] < 0:
             return Found(UNFINISHED, times[k], near.pair), waiting_count
@@ -1165,7 +1173,7 @@ def _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tall
                 n = ways[to + deepest], ways[to + LANES + deepest], ways[to + 2 * LANES + deepest]
                 near = _listed_pair(motion, count)
                 row = _row_of_answers(motion, near)
-                if row < 0 or answers[row, 4] == 0:  # For parts of surfaces, only the first pair is tested.
+                if row < 0 or answers[row, 4] == 0:  # Among parts of the same surfaces, only the first pair is tested.
                     found, listed[count, 4] = _test(motion, near, swept, deepest + end, n, found, 0, tally)
                     if _hit(found):
                         return found, count
@@ -1235,7 +1243,8 @@ def _settle_block(motion, low, high, found, tally):
         swept.done[body] = 0
     found = _settle_pairs(motion, low, widest, found, tally)
     if found.verdict == MAY_BE_HIT:
-        # The motion is not FREE. From now on, bodies are at their given poses, and only a collision counts.
+        # The motion is not FREE. From here on, all bodies are assumed to be exactly at their given poses, and the only
+        # remaining question is whether they collide.
         _growth_of(motion)[:] = 0.0
         _most_growth_of(motion)[:] = 0.0
         found = _settle_pairs(motion, low, widest, Found(AMBIGUOUS, found.t, found.pair), tally)
@@ -1276,7 +1285,7 @@ def _settle_pairs(motion, low, widest, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
-            # First compare the bodies in the world, each on its own path. This comparison is cheap and leaves few
+            # First compare the paths of the two bodies in the world frame. This comparison is cheap and leaves few
             # pairs.
             bend, stray = ways[one, 0] + ways[other, 0], stray + ways[other, 2]
             live = near_in_world(problem, one, other, margin + slack + stray + bend * widest * widest / 8.0, swept)
@@ -1290,7 +1299,7 @@ def _settle_pairs(motion, low, widest, found, tally):
             bend, speed = seen.bend, seen.speed
             live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0 and _margin(motion, pair)[1] == 0.0:
-            live &= 1  # The two bodies do not move relative to each other.
+            live &= 1  # The two bodies do not move relative to each other, so one interval is enough.
         if live != 0:
             found, count = _list_pair(motion, pair, live, bend, speed, slack, stray, found, count, tally)
             if _hit(found):
@@ -1321,7 +1330,7 @@ def _certify(motion, tally):
         motion.as_given, motion.points, motion.counts, motion.work,
     )  # fmt: skip
     if not rounding < np.inf:
-        return Found(TOO_LONG, np.nan, -1)  # An orientation may turn arbitrarily fast.
+        return Found(TOO_LONG, np.nan, -1)  # There is no bound: an orientation may turn arbitrarily fast.
     for body in range(motion.counts.moving):
         link = problem.link[body]
         _ways_of(motion)[body, 2] = _stray(motion, body, link, -1) if motion.strays else 0.0
@@ -1332,8 +1341,7 @@ def _certify(motion, tally):
             return Found(TOO_LONG, np.nan, -1)
     answer = Found(FREE, np.nan, -1)
     for number in range(blocks):
-        # Take the first block, then the middle one, then the other blocks in the order of their numbers with reversed
-        # bits.
+        # Take the blocks in the order of their numbers with reversed bits: block 0, then the middle one, and so on.
         block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)

@@ -15,8 +15,8 @@ from loewner._kernels.robots.planes import seen_by
 from loewner._kernels.robots.sweeps import outer_center, outer_shape
 from loewner._kernels.simd.vectors import LANES, absolute, broadcast, store
 
-# Bound on the relative errors of the first-order terms, from rounding and from rotations that are accepted as
-# orthonormal.
+# Bound on the relative errors of the first-order terms. The errors come from rounding, and from rotations that are
+# accepted as orthonormal although they are not exactly so.
 TERMS = 1e-4  # certified.md B52
 
 

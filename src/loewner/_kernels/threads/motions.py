@@ -74,20 +74,23 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
 from loewner._kernels.threads.searches import core_at, search
 from loewner._kernels.tolerances import OFF, SINGLE_ROUNDOFF, UP
 
-# The first intervals of a motion are so short that points deviate from their chords by at most FIRST_BEND [m], but a
-# motion has at most 2 ** MOST_HALVINGS first intervals. An interval that was halved DEEPEST times is left to the CPU.
+# A motion is first halved repeatedly until points deviate from their chords by at most FIRST_BEND [m], but at most
+# MOST_HALVINGS times. An open interval that is the result of DEEPEST or more halvings is not halved again, but left to
+# the CPU.
 FIRST_BEND, MOST_HALVINGS, DEEPEST = 0.05, 6, 10
 
-# Error of a value between the ends of a motion, in units of `configurations.VALUE_TURN` times the largest magnitude.
+# Bound on the error of a joint's value between the ends of a motion, in units of `configurations.VALUE_TURN` times the
+# larger magnitude of the values at the two ends.
 SPAN = 2.0  # certified.md B64
 
-# STRETCH allows for roundings in a bound on curvature, for up to a thousand joints. The difference between two sums of
-# rates has an error of REST_ERROR for each joint, in roundings of the sum.
+# STRETCH bounds the relative rounding error of a computed bound on curvature, for up to a thousand joints. REST_ERROR
+# bounds the error of a difference between two sums of rates, for each joint and in units of the roundoff times the
+# larger sum.
 STRETCH = 1e-3  # certified.md B65
 REST_ERROR = 4.0  # certified.md B66
 
-# The sum of the errors of a chord's middle and of half the chord, in roundings of the sum of the middle and half the
-# chord.
+# Bound on the sum of two errors: the error of the distance between a chord's middle and the origin, and the error of
+# half the chord's length. The unit is the roundoff times the sum of both numbers.
 CHORD_ERROR = 8.0  # certified.md B67
 
 
@@ -126,8 +129,8 @@ def bound_motion(thread, most, total, dof, Q0, Q1, table, bends):
     cell = cell_at(table)
     first, last = integer_at(cell.chain_start, chain), integer_at(cell.chain_start, chain + 1)
     every, bend, travel, speed = lane_of(0.0), lane_of(0.0), lane_of(0.0), lane_of(0.0)
-    # Take the joints from the upper body to the lower one, like `motion_bounds.ways_between`. The term of a joint needs
-    # the sum of the turns after the joint. Therefore, a first loop runs backward.
+    # Take the joints in the order from the upper body to the lower one, like `motion_bounds.ways_between`. The term of
+    # a joint contains the sum of the turns of all joints after it, so a first loop runs backward to compute these sums.
     k = last - 1
     while k >= first:
         turn, slide, _ = _rates(cell, k, motion, dof, Q0, Q1)
@@ -401,7 +404,7 @@ def _ellipsoids_apart(cell, j, k, first, last, keep):
     gap0 = dot(n, c0) - _width(P0, n, squared) - width
     gap1 = dot(n, c1) - _width(P1, n, squared) - width
     least = sqrt(squared) * keep * (1.0 + 16.0 * SINGLE_ROUNDOFF)
-    # Shorter normals may lack digits where their squares are used.
+    # The squares of shorter normals may have lost digits.
     return holds((gap0 > least) & (gap1 > least) & (squared > 1e-12))
 
 
@@ -437,8 +440,8 @@ def search_interval(thread, S, log_S, most, table, items, placed, bends, state, 
     a, b = core_at(cell.cores, cell.numbers, cell.vertices, j), core_at(cell.cores, cell.numbers, cell.vertices, k)
     first, last, off = _ends_of(cell, interval, placed, S)
     n = scaled(0.5, plus(from_lower(cell, j, k, first[0], first[1]), from_lower(cell, j, k, last[0], last[1])))
-    # Search the hull of both ends first, then the later end. If the motion begins with this interval, search its first
-    # end last.
+    # First, search the hull of the piece at both ends of the interval; then search the piece at the later end. If the
+    # motion begins with this interval, also search the piece at the first end.
     last_attempt = 2 if interval.node & (interval.node - 1) == 0 else 1
     attempt, keep = 0, interval.margin + interval.bend
     while attempt <= last_attempt:

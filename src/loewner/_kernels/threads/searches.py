@@ -48,9 +48,10 @@ from loewner._kernels.simd.scalars import eight_at, holds, integer_at, lane_of, 
 from loewner._kernels.simd.vectors import maximum, select, signed_one, sqrt
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 
-ROUNDS = 12  # Nine in ten pairs need six rounds, and 99 in 100 need ten.
+ROUNDS = 12  # Maximum number of rounds; nine in ten pairs need at most six, and 99 in 100 at most ten.
 
-# Errors of the height of a support plane and of a point of the difference, in roundings times the lengths.
+# Bounds on the errors of the height of a support plane and of a point of the Minkowski difference, in units of the
+# roundoff times the lengths involved.
 PLANE_ERROR = 128.0  # certified.md B61
 POINT_ERROR = 32.0  # certified.md B62
 
@@ -134,11 +135,11 @@ def _farthest_of_curve(core, n):
     elif core.kind == CYLINDER or core.kind == CONE:
         length = sqrt(maximum(m[0] * m[0] + m[1] * m[1], tiny))
         around = 1.0 / length
-        if core.kind == CONE:  # Compare the cone's base circle with its apex: |xy| - z with z.
+        if core.kind == CONE:  # Compare the support of the base circle, |xy| - z, with the support of the apex, z.
             apex = m[2] > length - m[2]
             around, along = select(apex, nought, around), select(apex, lane_of(1.0), lane_of(-1.0))
     elif core.kind != SEGMENT:
-        # This kind has no branch: with NaN, the search proves nothing, and the CPU settles the pair.
+        # There is no branch for this kind. With NaN, the search proves nothing, and the CPU settles the pair.
         along = lane_of(np.nan)
     return image(F, center, (around * m[0], around * m[1], along))
 
@@ -210,13 +211,14 @@ def search(upper, first, last, swept, lower, n, keep, off):
             return APART
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # As in `gjk_fast.measure`, take a direction between the first one and the direction of the first point.
+            # As in `gjk_fast.measure`, take a weighted mean of the initial direction and the direction of the first
+            # point.
             rest = (1.0 - KEPT) / sqrt(dot(A, A))
             n = KEPT * n[0] + rest * A[0], KEPT * n[1] + rest * A[1], KEPT * n[2] + rest * A[2]
             B = A
         else:
             f, g, h, base, normals = faces(A, B, C, E)
-            # The origin is inside if it is farther from all faces than the error of a point.
+            # The origin is certainly inside if its distance from every face exceeds the error of a point.
             cube = SINGLE_ROUNDOFF * largest * sqrt(largest)
             last_normal = cross(minus(E, B), minus(C, B))
             inside = (f < -_slack(normals[0], point_off, VOLUME_ERROR * cube)) & three
