@@ -55,7 +55,7 @@ struct loewner_gate {
        before the chunk. */
     int64_t pieces_made, rows_needed;
     Chunk last, made, slower;
-    uint64_t structure; /* Serial number of the scene when the last chunk was made. */
+    uint64_t structure; /* Serial number that the scene had when the last chunk was accepted. */
     Known *seen, *allowed; /* The bodies as they are now, and as they were when the last chunk was accepted. */
     size_t known, room;
     void *memory;
@@ -147,7 +147,7 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Set up a gate whose own memory has already been allocated. */
+/* Set up a gate for which only the structure itself has been allocated so far. */
 static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
 {
     TRY(make_room(gate));

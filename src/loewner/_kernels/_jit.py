@@ -178,7 +178,7 @@ class _Cache(NullCache):
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):
-                return  # The code calls parts that could not be written.
+                return  # The code calls parts that could not be written to the store.
         try:
             _store.write(key, dumps((key, *data._reduce())))
         except OSError as error:

@@ -35,7 +35,7 @@ ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PREFIX = "loewner._kernels"
 
-_edited: list[str] = []  # Modules whose files were edited before they were imported.
+_edited: list[str] = []  # Modules that were edited after `_texts` had read them, but before they were imported.
 
 
 @cache
