@@ -1,4 +1,5 @@
-/* This file checks chunks of targets in a control loop, one course after another, like `loewner/planners/gates.py`. */
+/* This file checks chunks of targets in a control loop. It proves one course after another, in the same way as
+   `loewner/planners/gates.py`. */
 
 #include "internal.h"
 
@@ -6,14 +7,15 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* The properties of a body that may change while the scene still counts as the same. */
+/* The pose and the bounds of a body. If only these change, the scene still counts as the same. */
 typedef struct {
     double pose[16];
     loewner_bounds bounds;
 } Known;
 
-/* A motion or a brake that is not free: the tick at which it begins (-1 for none), and the number of targets on which
-   it depends. The motion or brake is not tried again as long as the world stays the same. */
+/* A motion or a brake that could not be proven free: the tick at which it begins (-1 if there is none), the number of
+   targets on which it depends, and the pair and the reason of the failure. As long as the world stays the same, the
+   proof is not tried again. */
 typedef struct {
     int64_t tick, needed, pair;
     int32_t reason;
@@ -23,44 +25,45 @@ static const Stop NONE = {-1, 0, -1, 0};
 
 /* A chunk, and how much of it is proven; see `_Chunk` in gates.py. */
 typedef struct {
-    double *rows; /* The array has `count` + 1 rows; the row before the chunk precedes them in memory. */
+    double *rows; /* `count` + 1 rows: the start and the targets. The row before the start precedes them in memory. */
     double *rates;
-    int64_t *ends; /* For the brake from each tick, the number of targets that were known when it was proven. */
+    int64_t *ends; /* For each tick: the number of targets that were known when the brake from this tick was proven. */
     double dt, t0;
     int64_t count, motions, first, braked;
     Stop motion_stop, brake_stop;
 } Chunk;
 
-/* The reason why a proof failed (0 if none did), and the work of all proofs in a check. */
+/* State of the proofs in one check: the reason why one failed (0 if none did), the pair at which it failed, the limit
+   on the work of all proofs, and their work so far. */
 typedef struct {
     int32_t reason;
     int64_t pair, most, work;
-    double dt;      /* The period of the targets. */
-    int is_attempt; /* An attempt counts only if its course is free. */
+    double dt;      /* The time from one target to the next. */
+    int is_attempt; /* Whether the proof is only an attempt, whose failure decides nothing. */
 } Proof;
 
 struct loewner_gate {
     const loewner_checker *checker;
     loewner_workspace *workspace;
-    int64_t dof, most, steps, pieces; /* A brake has at most `pieces` times. */
+    int64_t dof, most, steps, pieces; /* `pieces`: the largest number of times in a brake. */
     int on_path, has_jerk, has_last, wants_scale;
     double latency, horizon, tolerance, now;
-    /* Vectors of `dof` numbers; times of ticks (`at`); and the brake. */
+    /* First, vectors of `dof` numbers, and the times of the ticks (`at`); then, the arrays that describe the brake. */
     double *strongest, *jerk, *fastest, *error, *rate_error, *widened, *looser, *resting, *q, *at;
     double *times, *states, *courses, *seconds, *out[3];
-    /* Number of times in the brake's arrays, and index of the row by which the brake ends; index 0 is the row before
-       the chunk. */
+    /* Number of times in the brake's arrays, and index of the row by which the brake has ended; index 0 is the row
+       before the chunk. */
     int64_t pieces_made, rows_needed;
     Chunk last, made, slower;
-    uint64_t structure; /* Serial number of the scene when the last chunk was made. */
-    Known *seen, *allowed; /* Bodies now, and at the time of the last new chunk. */
+    uint64_t structure; /* Serial number that the scene had when the last chunk was accepted. */
+    Known *seen, *allowed; /* The bodies as they are now, and as they were when the last chunk was accepted. */
     size_t known, room;
     void *memory;
 };
 
 /* -- making -------------------------------------------------------------------------------------------------------- */
 
-/* Copy numbers (limits or errors) for all joints; NULL stands for `otherwise`. */
+/* Check and copy one number for each joint (a limit or an error). If `given` is NULL, use `otherwise` for all. */
 static loewner_status take(const char *name, const double *given, int64_t dof, double otherwise, double *out)
 {
     int is_error = otherwise == 0;
@@ -100,7 +103,7 @@ static loewner_status take_options(loewner_gate *gate, const loewner_gate_option
     return LOEWNER_OK;
 }
 
-/* Divide one block of memory among the arrays. */
+/* Allocate one block of memory, and divide it among the arrays. */
 static loewner_status make_room(loewner_gate *gate)
 {
     size_t vector = sizeof(double) * (size_t)gate->dof, ticks = (size_t)gate->most + 2, pieces = (size_t)gate->pieces;
@@ -124,7 +127,7 @@ static loewner_status make_room(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Record the poses of the scene's bodies; memory is needed only if the number of bodies has grown. */
+/* Record the poses and bounds of the scene's bodies; memory is allocated only if there are more bodies than before. */
 static loewner_status look(loewner_gate *gate)
 {
     const loewner_checker *checker = gate->checker;
@@ -144,7 +147,7 @@ static loewner_status look(loewner_gate *gate)
     return LOEWNER_OK;
 }
 
-/* Set up a gate whose own memory has already been allocated. */
+/* Set up a gate for which only the structure itself has been allocated so far. */
 static loewner_status set_up(loewner_gate *gate, const loewner_gate_options *options)
 {
     TRY(make_room(gate));
@@ -191,7 +194,8 @@ void loewner_gate_free(loewner_gate *gate)
 /* -- older proofs -------------------------------------------------------------------------------------------------- */
 
 /* Return whether all poses that a body may have from now on were allowed before, as `_path_is_within` in gates.py does.
-   Points at a distance r move by at most r times the norm of the difference between two rotations. */
+   A point at a distance r from the body's origin moves by at most r times the norm of the difference between the two
+   rotations. */
 static int is_within(const Known *seen, const Known *allowed, double now)
 {
     const loewner_bounds *its = &seen->bounds, *old = &allowed->bounds;
@@ -207,13 +211,14 @@ static int is_within(const Known *seen, const Known *allowed, double now)
     }
     away = sqrt(away) + its->metres + its->speed * (now - its->since);
     away += away > 0 ? WITHIN * (1 + fabs(now) + far) : 0;
-    turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0); /* Rotations are not exactly orthonormal. */
+    /* Rotation matrices are orthonormal only up to a tolerance. */
+    turned = sqrt(turned / 2) + (turned > 0 ? 16 * ROTATION_TOLERANCE : 0);
     turned += its->radians + its->turn * (now - its->since) + (turned > 0 ? WITHIN * (1 + fabs(now)) : 0);
     return away <= old->metres + old->speed * (now - old->since) &&
            turned <= old->radians + old->turn * (now - old->since);
 }
 
-/* Return whether the poses that bodies may have are the same as in the world of the last chunk. */
+/* Return whether all bodies have the same poses and bounds as when the last chunk was accepted. */
 static int is_same_world(const loewner_gate *gate)
 {
     return gate->known == 0 || memcmp(gate->seen, gate->allowed, gate->known * sizeof *gate->seen) == 0;
@@ -226,7 +231,8 @@ static Stop later(Stop stop, int64_t tick)
     return stop;
 }
 
-/* Return where a proof failed, unless the proof only reached its limit on work. */
+/* Return where a proof failed. The tick is -1 if the proof did not fail, or failed only because it reached its limit on
+   work. */
 static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 {
     int is_known = proof->reason && proof->reason != LOEWNER_REASON_BUDGET;
@@ -234,7 +240,7 @@ static Stop stop_at(int64_t tick, int64_t needed, const Proof *proof)
 }
 
 /* Write the range of ticks of the last chunk at which the robot may be, and return whether the chunk's proofs still
-   hold. A robot that executes the answers is never behind the proven motions. */
+   hold. A robot that executes the answers is never beyond the proven motions. */
 static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
 {
     const Chunk *last = &gate->last;
@@ -256,10 +262,11 @@ static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
     return holds;
 }
 
-/* Find a tick of the last chunk, in the range from..to, that agrees with a measured state; -1 if no such tick is left.
-   Each call returns one tick, and several ticks agree if the robot is slow. The tick of the present time comes first,
-   even if the world is at rest, and the other ticks follow, the nearest first. `off` and `tick` have the values of the
-   previous call; for the first call, both are -1. */
+/* Return a tick of the last chunk, in the range from..to, that agrees with a measured state; -1 if no such tick is
+   left. If the robot is slow, several ticks may agree, and each call returns the next one of them. The tick of the
+   present time comes first, even if no body moves; the other ticks follow in order of their distance from the measured
+   configuration. At the first call, `*off` and `tick` are -1; at every later call, they are the distance and the tick
+   from the previous call. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -295,8 +302,8 @@ static void write_rates(const loewner_gate *gate, Chunk *chunk)
         chunk->rates[k] = (chunk->rows[k] - chunk->rows[k - gate->dof]) / chunk->dt;
 }
 
-/* If the targets continue the last chunk unchanged from one of its ticks, make a chunk that keeps the proofs from this
-   tick on, with the new targets at its end; return whether they do. */
+/* Return whether the targets continue the last chunk, unchanged, from the tick `tick` on. If they do, make a chunk that
+   keeps the proofs from this tick on and has the new targets at its end. */
 static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int64_t count, double dt)
 {
     const Chunk *last = &gate->last;
@@ -318,11 +325,13 @@ static int goes_on(loewner_gate *gate, int64_t tick, const double *targets, int6
     for (int64_t k = 0; k <= made->braked; k++)
         made->ends[k] = last->ends[tick + k] - tick;
     int64_t first = made->first > 0 ? made->first : 0;
-    /* A brake that was proven along a path with more targets does not count. */
+    /* A brake that was proven on a path with more targets does not count for this chunk. */
     while (gate->on_path && made->braked >= first && made->ends[made->braked] > count)
         made->braked--;
     const Stop stops[] = {later(last->motion_stop, tick), later(last->brake_stop, tick)};
-    int is_same = is_same_world(gate); /* A failure is remembered if all targets on which it depends are still there. */
+    /* A failed proof is not tried again if the world is the same and the chunk contains all targets on which the
+       failure depends. */
+    int is_same = is_same_world(gate);
     made->motion_stop = is_same && stops[0].needed <= count ? stops[0] : NONE;
     made->brake_stop = is_same && stops[1].needed <= count ? stops[1] : NONE;
     return 1;
@@ -361,12 +370,12 @@ static loewner_status prove_course(loewner_gate *gate, const double *course, int
     return LOEWNER_OK;
 }
 
-/* Arguments for kernels that take the brake in a gate. */
+/* Arguments that pass the arrays of a gate's brake to a kernel. */
 #define BRAKE(gate)                                                                                                    \
     .times = {gate->times, 1, gate->pieces}, .states = {gate->states, 1, gate->pieces, 3, gate->dof},                  \
     .counts = {&gate->pieces_made, 1}
 
-/* Brake joint by joint. */
+/* Compute the brake that stops each joint separately, from the state `q`, `dq`. */
 static loewner_status stop(loewner_gate *gate, const double *q, const double *dq)
 {
     int64_t dof = gate->dof;
@@ -374,8 +383,8 @@ static loewner_status stop(loewner_gate *gate, const double *q, const double *dq
                 .strongest = {gate->strongest, dof}, .jerk = {gate->jerk, dof}, BRAKE(gate));
 }
 
-/* Brake from a tick of a chunk. If the robot brakes on the path, follow the part of the path that was known when this
-   brake was proven. */
+/* Compute the brake that begins at a tick of a chunk. If the robot brakes on the path, the brake follows the part of
+   the path that was known when this brake was proven. */
 static loewner_status brake_from(loewner_gate *gate, const Chunk *chunk, int64_t tick)
 {
     int64_t dof = gate->dof, rows = chunk->ends[tick] + 2;
@@ -396,8 +405,8 @@ static double stopping_time(const loewner_gate *gate, int64_t c, double v)
     return v <= strongest * strongest / jerk ? 2 * sqrt(v / jerk) : v / strongest + strongest / jerk;
 }
 
-/* Try to prove a whole brake as one course, in at most `steps` steps. If nothing is near, one interval suffices. The
-   robot may come to rest as late as `until` seconds after the brake began. */
+/* Try to prove that a whole brake, taken as one course, is free, in at most `steps` steps. If no body is near, one
+   interval is enough. The robot may come to rest as late as `until` seconds after the brake began. */
 static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t points, double until, int64_t steps,
                                   Proof *proof, int *is_free)
 {
@@ -414,9 +423,10 @@ static loewner_status prove_whole(loewner_gate *gate, double begin, int64_t poin
     return LOEWNER_OK;
 }
 
-/* Prove the most recent brake, which begins at a given time with the velocity `rate`; if the robot brakes on the path,
-   `rate` is NULL. A robot that is faster by the velocity error travels farther and comes to rest later. A
-   joint-by-joint brake is first proven as one course, in at most `steps` steps. */
+/* Prove that the most recent brake is free. The brake begins at the time `begin` with the velocity `rate`; if the robot
+   brakes on the path, `rate` is NULL. A robot that is faster than `rate` by the velocity error travels farther and
+   comes to rest later. For a joint-by-joint brake, first try to prove the whole brake as one course, in at most `steps`
+   steps. */
 static loewner_status prove_brake(loewner_gate *gate, double begin, const double *rate, int64_t steps, Proof *proof)
 {
     int64_t dof = gate->dof, points = gate->has_jerk || rate == NULL ? 4 : 3, pieces = gate->pieces_made - 1, made;
@@ -438,7 +448,8 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, const double
     TRY(CALL(courses_of_brakes, &made, .courses = {gate->courses, pieces, points, dof},
              .seconds = {gate->seconds, pieces}, BRAKE(gate)));
     if (rate == NULL || pieces > 1) {
-        /* First check the end: long brakes fail there most often, and this check halves no interval. */
+        /* Check the end of the brake first, because long brakes fail there most often, and because this check halves no
+           interval. */
         double *still = gate->courses + pieces * points * dof;
         for (int k = 0; k < 2; k++)
             memcpy(still + k * dof, gate->states + 3 * pieces * dof, (size_t)dof * sizeof *still);
@@ -454,8 +465,8 @@ static loewner_status prove_brake(loewner_gate *gate, double begin, const double
     return prove_course(gate, gate->courses, points, gate->widened, end, begin + stands, proof);
 }
 
-/* Prove the motions, then the brake that begins at the end of each motion. Stop at the first motion or brake that is
-   not free. */
+/* Prove that the motions are free, and then that the brakes from the ends of the proven motions are free. Both loops
+   stop at the first motion or brake that is not proven free. */
 static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof)
 {
     int64_t dof = gate->dof, growing = gate->checker->state.growing;
@@ -482,7 +493,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     proof->reason = 0;
     proof->pair = -1;
     tick = tick > 0 ? tick : 0;
-    /* The proof of a whole brake may take about as many steps as one interval does. */
+    /* The proof of a whole brake may take about as many steps as a proof needs for one interval. If too few steps are
+       left for all brakes, no brake is tried as a whole. */
     int64_t pairs = gate->checker->state.pairs, steps = pairs > LEAST_STEPS ? pairs : LEAST_STEPS;
     if (proof->most - proof->work < steps * (chunk->motions - tick + 1))
         steps = 0;
@@ -495,7 +507,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         chunk->ends[tick] = chunk->count;
         TRY(brake_from(gate, chunk, tick));
         int64_t end = gate->on_path ? gate->rows_needed - 1 : tick;
-        /* If no body is known by bounds, the proofs of the motions hold at all times, and so for a brake on them. */
+        /* If no body has bounds, proven motions are free at all times, and so are brakes on these motions. */
         int is_covered = gate->on_path && growing == 0 && end <= chunk->motions;
         if (!is_covered)
             TRY(prove_brake(gate, chunk->t0 + chunk->dt * (double)tick,
@@ -503,7 +515,7 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
         if (proof->reason) {
             if (proof->reason == LOEWNER_REASON_CONTACT)
                 proof->reason = LOEWNER_REASON_BRAKE;
-            /* With more targets, a brake that goes beyond the last target would take another path. */
+            /* If there were more targets, a brake that goes beyond the last target would take another path. */
             chunk->brake_stop.tick = -1;
             if (end <= chunk->count)
                 chunk->brake_stop = stop_at(tick, end, proof);
@@ -518,7 +530,8 @@ static loewner_status prove_chunk(loewner_gate *gate, Chunk *chunk, Proof *proof
     return LOEWNER_OK;
 }
 
-/* Find the largest time scale (half, quarter or eighth) for which the chunk is proven; 0 if there is none. */
+/* Find the largest time scale (a half, a quarter or an eighth) at which the whole chunk is proven free; 0 if there is
+   none. */
 static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale)
 {
     const Chunk *chunk = &gate->made;
@@ -545,7 +558,8 @@ static loewner_status find_scale(loewner_gate *gate, Proof *proof, double *scale
 
 /* -- checks -------------------------------------------------------------------------------------------------------- */
 
-/* Return the number of targets before the first one outside the limits; write the joint that violates them, or -1. */
+/* Return the number of targets before the first one that violates the limits. Write the joint at which this target
+   violates them, or -1 if no target does. */
 static int64_t within_limits(const loewner_gate *gate, const double *q, const double *targets, int64_t count, double dt,
                              int32_t *joint)
 {
@@ -553,7 +567,8 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     for (int64_t k = 0; k < count; k++)
         for (int64_t c = 0; c < gate->dof; c++) {
             double to = targets[k * gate->dof + c], from = k == 0 ? q[c] : targets[(k - 1) * gate->dof + c];
-            /* The speed to the first target is computed from the measured `q`, not from the command. */
+            /* The speed to the first target is computed from the measured `q`, from which the last command may differ
+               by the joint error. */
             double speed = fabs(to - from) / dt - (k == 0 ? gate->error[c] / dt : 0);
             if (to < lower[c] || to > upper[c] || speed > gate->fastest[c] * (1 + SAME_TICK)) {
                 *joint = (int32_t)c;
@@ -564,7 +579,7 @@ static int64_t within_limits(const loewner_gate *gate, const double *q, const do
     return count;
 }
 
-/* Write an answer with the most recent brake. */
+/* Write an answer that contains the most recent brake. */
 static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t steps, int is_proven, double begins,
                                   const Proof *proof, loewner_gate_answer *answer)
 {
@@ -589,8 +604,8 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk, or prove again a chunk that continues the last one; both start from the last command. If a pair is
-   not free at the robot's position, `proof` receives this pair. */
+/* Begin a new chunk at `q`; or, if the targets continue the last chunk, prove this chunk again from the last command.
+   If a pair is not free at the robot's position, write this pair to `proof`. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, int64_t late, Proof *proof)
 {
@@ -614,15 +629,16 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
         TRY(collide(its, CODE_EXACT, still, 1, &verdict));
     if (verdict == LOEWNER_FREE)
         return LOEWNER_OK;
-    /* In this motion the robot stays in place; the proof of the motion shows which pair collides. */
+    /* In this motion, the robot stays at `q`; the attempt to prove the motion free shows which pair is not free. */
     TRY(certify(its, still, 1, 2, 0, gate->tolerance, 0, gate->steps, &verdict));
     proof->pair = *its->found_pairs;
     proof->reason = LOEWNER_REASON_CONTACT;
     return LOEWNER_OK;
 }
 
-/* Make this chunk the most recent one that may run. From now on, bodies may only be at their current poses. If the
-   chunk continues the previous one, these poses are within the earlier bounds, so the old proofs still hold. */
+/* Accept the chunk in `made`, which becomes the last chunk. From now on, the bodies may only have the poses that their
+   present poses and bounds allow. If the chunk continues the previous one, the earlier bounds allow all these poses, so
+   the old proofs still hold. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
@@ -661,13 +677,14 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     TRY(prove_chunk(gate, made, &proof));
     if (!proof.reason && count < wanted)
         proof.reason = LOEWNER_REASON_LIMITS;
-    if (!proof.reason && count <= late) /* A command to brake would take effect after the last target. */
+    /* If the robot were ordered to brake now, it would only begin to do so at the last target or later. */
+    if (!proof.reason && count <= late)
         proof.reason = LOEWNER_REASON_BRAKE;
     int64_t steps = made->braked - late;
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    /* Unless `may_scale` is true, slower motions would meet the same obstacle. */
+    /* Slower motions can help only if `may_scale` is true; otherwise, they would meet the same obstacle. */
     if (gate->wants_scale && may_scale && count > late)
         TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {
@@ -676,8 +693,8 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
         return answer_with(gate, proof.reason ? LOEWNER_GATE_PREFIX : LOEWNER_GATE_GO, steps, 1,
                            dt * (double)gate->last.braked, &proof, answer);
     }
-    /* This chunk may not run, so the last accepted chunk continues until the robot brakes. With a latency, the robot
-       brakes at a different place for each tick. */
+    /* This chunk may not run, so the robot continues along the last accepted chunk until it brakes. With a latency, the
+       place at which it brakes depends on its present tick. */
     off = -1;
     int64_t here = next_tick(gate, q, dq, from, to, &off, -1), other = next_tick(gate, q, dq, from, to, &off, here);
     int is_sure = other < 0 || (here > 0 && (double)here == rint((now - gate->last.t0) / gate->last.dt));

@@ -1,5 +1,5 @@
-/* This file plans paths in the same steps as `loewner/planners/compiled.py`, so that equal seeds give equal paths. Both
-   languages call the same kernels for the search. */
+/* This file plans paths in the same steps as `loewner/planners/compiled.py`, so equal seeds give equal paths in C and
+   in Python. Both languages call the same kernels for the search. */
 
 #include "internal.h"
 
@@ -9,7 +9,7 @@
 #include <string.h>
 #include <time.h>
 
-/* How paths are planned, and how their motions are proven. */
+/* The checker, and the options for planning a path and for proving that its motions are free. */
 typedef struct {
     const loewner_checker *checker;
     loewner_workspace *workspace;
@@ -19,22 +19,23 @@ typedef struct {
     double lengths[2];
 } Judge;
 
-/* A search in the form that kernels take, and its memory. */
+/* A search for a path: the arrays that the kernels use, and the memory for these arrays. */
 typedef struct {
     struct search arrays;
-    int64_t dof, joints, state[STATE]; /* A configuration has `dof` values, and `joints` of them move. */
+    /* `dof`: number of values of a configuration; `joints`: number of values that the search changes. */
+    int64_t dof, joints, state[STATE];
     int64_t *columns, *turning;
-    double reach[3], *lower, *upper, *start, *goals; /* `goals` holds the free goals. */
+    double reach[3], *lower, *upper, *start, *goals; /* `goals`: the free goals, `goal_count` of them. */
     size_t goal_count;
 } Search;
 
 static void leave_search(Search *search)
 {
-    free(search->columns); /* The block at `columns` holds everything except the trees. */
+    free(search->columns); /* The block of memory at `columns` holds all arrays except the trees. */
     free((void *)search->arrays.trees.data);
 }
 
-/* Try to prove that n motions are free. `at` receives the index of the first motion that is not proven free, or -1. */
+/* Try to prove that n motions are free. Write to `at` the index of the first motion that is not proven free, or -1. */
 static loewner_status are_free(const Judge *judge, const double *starts, const double *ends, size_t n, int64_t *at)
 {
     loewner_workspace *workspace = judge->workspace;
@@ -49,21 +50,21 @@ static loewner_status are_free(const Judge *judge, const double *starts, const d
     return LOEWNER_OK;
 }
 
-/* Find out whether one configuration is proven free, within the joint error. */
+/* Find out whether one configuration is proven free for all deviations within the joint error. */
 static loewner_status is_free_at(const Judge *judge, const double *q, int *is)
 {
     int8_t verdict;
     int64_t at = -1;
     TRY(collide(judge->workspace, CODE_EXACT, q, 1, &verdict));
     if (verdict == LOEWNER_FREE && judge->options.joint_error != NULL)
-        TRY(are_free(judge, q, q, 1, &at)); /* Prove a motion that stays at this configuration. */
+        TRY(are_free(judge, q, q, 1, &at)); /* Prove that a motion that stays at this configuration is free. */
     *is = verdict == LOEWNER_FREE && at < 0;
     return LOEWNER_OK;
 }
 
 /* -- searches ------------------------------------------------------------------------------------------------------ */
 
-/* Choose the values that move, and their ranges; trees have no memory yet. */
+/* Choose the values that the search changes, and their ranges. The trees get no memory yet. */
 static loewner_status make_search(const Judge *judge, const double *start, const double *goals, size_t goal_count,
                                   Search *search)
 {
@@ -77,7 +78,7 @@ static loewner_status make_search(const Judge *judge, const double *start, const
     search->lower = block + 2 * dof;
     search->upper = block + 3 * dof;
     double *weights = block + 4 * dof;
-    /* The start is copied, because it may lie in the workspace. */
+    /* Copy the start, because it may lie in the workspace, whose memory changes. */
     search->start = memcpy(block + 7 * dof, start, sizeof(double) * (size_t)dof);
     search->goals = block + 8 * dof;
     for (int64_t c = 0; c < dof; c++) {
@@ -112,7 +113,7 @@ static loewner_status make_search(const Judge *judge, const double *start, const
                      : fail(LOEWNER_BAD_ARGUMENT, "joints: expected one or more that can move, found none");
 }
 
-/* Return the first joint whose value is outside its limits, or -1. */
+/* Return the first of the search's joints whose value is outside the limits, or -1. */
 static int64_t outside(const Search *search, const double *q)
 {
     for (int64_t k = 0; k < search->joints; k++) {
@@ -123,7 +124,7 @@ static int64_t outside(const Search *search, const double *q)
     return -1;
 }
 
-/* Report why the configuration with this name cannot be on a path. */
+/* Report why a configuration, which messages call `name`, cannot be on a path. */
 static loewner_status refuse(const Judge *judge, const Search *search, const double *q, const char *name)
 {
     const loewner_checker *checker = judge->checker;
@@ -144,7 +145,7 @@ static loewner_status refuse(const Judge *judge, const Search *search, const dou
                 loewner_checker_body_name(checker, bodies[0]), loewner_checker_body_name(checker, bodies[1]));
 }
 
-/* Give the trees more memory, and copy their rows to it. */
+/* Allocate more memory for the trees, and copy their rows to it. */
 static loewner_status grow(Search *search, int64_t capacity)
 {
     Array2 old = search->arrays.trees, more = {NULL, 2 * search->joints + TREE_ROWS, capacity};
@@ -164,7 +165,7 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Make room for a path in the workspace. */
+/* Enlarge the workspace's memory for a path if it is too small. */
 static loewner_status make_room(loewner_workspace *workspace, int64_t rows, int64_t dof)
 {
     size_t needed = (size_t)(rows * dof);
@@ -175,7 +176,7 @@ static loewner_status make_room(loewner_workspace *workspace, int64_t rows, int6
     return LOEWNER_OK;
 }
 
-/* Let the trees grow until they meet, and write the path to the workspace. */
+/* Extend the trees until they meet, and write the path that connects them to the workspace. */
 static loewner_status connect(const Judge *judge, Search *search, int64_t *count)
 {
     const loewner_plan_options *options = &judge->plan;
@@ -208,8 +209,8 @@ static loewner_status connect(const Judge *judge, Search *search, int64_t *count
                   : fail(LOEWNER_NO_PATH, "expected a path that is free as a whole; another seed may help");
 }
 
-/* Shorten the path that `judge->workspace` holds. All motions of the path must be free. If the number of cuts is
-   negative, leave the path unchanged. */
+/* Shorten the path that `judge->workspace` holds. All motions of the path must be free. If the options set a negative
+   number of cuts, leave the path unchanged. */
 static loewner_status cut_corners(const Judge *judge, int64_t *count)
 {
     const loewner_plan_options *options = &judge->plan;
@@ -232,7 +233,7 @@ static loewner_status cut_corners(const Judge *judge, int64_t *count)
 
 /* -- interface ----------------------------------------------------------------------------------------------------- */
 
-/* Check options, and make the judge that they describe. */
+/* Check the options, and make the judge that they describe. */
 static loewner_status take_judge(const loewner_checker *checker, loewner_workspace *workspace,
                                  const loewner_plan_options *options, Judge *judge)
 {
@@ -257,7 +258,8 @@ static loewner_status take_judge(const loewner_checker *checker, loewner_workspa
 static loewner_status choose_goals(const Judge *judge, Search *search, const double *goals, size_t goal_count)
 {
     size_t dof = (size_t)search->dof;
-    size_t named = goal_count; /* The goal that messages name: the first one within the limits, if there is one. */
+    /* The goal that messages name: the first one within the limits, or goals[0] if there is none. */
+    size_t named = goal_count;
     int is = outside(search, search->start) < 0;
     if (is)
         TRY(is_free_at(judge, search->start, &is));
@@ -329,7 +331,7 @@ loewner_status loewner_checker_shorten(const loewner_checker *checker, loewner_w
         return fail(LOEWNER_NOT_FREE,
                     "path: expected free motions, found the one from row %lld, which is not proven free",
                     (long long)at);
-    /* The path may lie in the workspace, whose memory may move while it grows. */
+    /* The given path may lie in the workspace's memory, which may move when it is enlarged. */
     int is_own = workspace->path != NULL && path >= workspace->path && path < workspace->path + workspace->path_room;
     ptrdiff_t begin = is_own ? path - workspace->path : 0;
     TRY(make_room(workspace, (is_own ? (int64_t)begin / (int64_t)dof + 1 : 0) + rows, (int64_t)dof));

@@ -27,17 +27,17 @@ from loewner._kernels._numba import (
     normalize_signature,
 )
 
-_config: Any = numba.config  # Numba's settings are created at run time and have no types.
+_config: Any = numba.config  # Numba's settings are created at run time and have no type annotations.
 
 if _config.DISABLE_JIT:
     raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
-# `_fused` recognises products and sums by this flag. Fusing drops a rounding and adds none, so every error bound stays
-# valid. Options that reorder operations, or assume that no number is NaN, are not allowed here.
+# By this flag, `_fused` recognises the products and sums that may be fused. A fused product has one rounding fewer, so
+# every error bound stays valid. Options that reorder operations, or assume that no number is NaN, are not allowed here.
 FASTMATH = {"contract"}
 
 
-# Everything that determines compiled code, except sources, types and processors.
+# Everything that determines the compiled code, except the sources, the types of the arguments and the processor.
 MADE_WITH = (
     numba.__version__, llvmlite.__version__, np.__version__, platform.python_version(), platform.machine(),
     _config.BOUNDSCHECK, str(_config.OPT), _config.LOOP_VECTORIZE, _config.SLP_VECTORIZE,
@@ -112,10 +112,10 @@ class _Cache(NullCache):
     in memory.
     """
 
-    failure: OSError | None = None  # The error of the last attempt that failed to write a file.
+    failure: OSError | None = None  # The error of the last failed attempt to write a file.
 
-    # The parts compiled in this process. Equal functions share a part, because its name would otherwise be defined
-    # twice.
+    # The parts that were compiled in this process, by their keys. Equal functions share one part; otherwise, its name
+    # would be defined twice.
     _made: ClassVar[dict[str, tuple[Any, ...]]] = {}
 
     def __init__(self, kernel: Callable[..., Any], form: str) -> None:
@@ -133,7 +133,7 @@ class _Cache(NullCache):
     def _key(self, signature: Any, codegen: Any) -> str:
         """Name of a file: the kernel, and a hash of everything that determines its code."""
         triple, cpu, features = codegen.magic_tuple()
-        # A part has the same code for all processors that fuse products.
+        # A part has the same code for all processors that fuse products, and the same code for all that do not.
         target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
         made_of = MADE_WITH, self._form, repr(signature), target, _identity(self._kernel)
         module = self._kernel.__module__.removeprefix("loewner._kernels.")
@@ -162,7 +162,7 @@ class _Cache(NullCache):
             why = f"cannot be read ({error.strerror or error})"
         except _sealed.DamagedFileError as error:
             key, why = error.args[0].stem, "is damaged"
-        except Exception as error:  # The file is intact, but cannot be used.
+        except Exception as error:  # The file is intact, but its content cannot be used.
             why = f"is not understood ({type(error).__name__})"
         _say(f"{_store.path_of(key)} {why}; compiling it anew")
         with suppress(OSError):
@@ -174,11 +174,11 @@ class _Cache(NullCache):
         if self._form == "part":
             _Cache._made[key] = data.library, data.fndesc, data.environment, data.signature
         if data.lifted or data.library.has_dynamic_globals or not _store.is_usable():
-            return  # The code contains addresses of this process, or its sources are unknown.
+            return  # The code contains addresses that are valid only in this process, or its sources are unknown.
         if self._form == "part":
             self._expect_imported(data.library, self._behind(sig))
             if any(part.key == "" for part in data.library.called if isinstance(part, _parts.PartLibrary)):
-                return  # The code calls parts that could not be written.
+                return  # The code calls parts that could not be written to the store.
         try:
             _store.write(key, dumps((key, *data._reduce())))
         except OSError as error:
@@ -219,8 +219,8 @@ class _Stored(CPUDispatcher):
         arguments, _ = normalize_signature(sig)
         if tuple(arguments) in self.overloads:
             return self.overloads[tuple(arguments)].entry_point
-        # Take the lock before the claim. Otherwise, a thread that holds the claim could wait for the lock while the
-        # thread that holds the lock waits for the claim.
+        # Take Numba's compiler lock before the claim. Otherwise, a thread that holds the claim could wait for the lock
+        # while the thread that holds the lock waits for the claim.
         with global_compiler_lock, self._cache.claimed(arguments, self.targetctx.codegen()):
             return super().compile(sig)
 
@@ -279,8 +279,8 @@ class _Callable(_Stored):
 
 def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
-        # Functions made by the same factory share a name. Numba distinguishes them by numbers. These numbers restart in
-        # each process, so parts from different processes could be confused.
+        # Functions made by the same factory share a name, and Numba distinguishes them by numbers. These numbers start
+        # again in each process, so parts from different processes could be confused.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     _store.expect_as_read(function.__module__)

@@ -24,17 +24,18 @@ from loewner._kernels import _sealed, _sources
 
 FOLDER = _sources.cache_folder() / "kernels"
 
-# A file that was not used for KEPT seconds is removed. The use of a file is recorded at most once every DAY seconds.
+# KEPT: a file that has not been used for this time [s] is removed. DAY: the use of a file is recorded at most once in
+# this time [s].
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
-# Any kernel may depend on these modules even if it does not import them, because the types of its arguments select
-# vector operations.
+# Modules on which any kernel may depend, even if it does not import them, because the types of a kernel's arguments
+# select vector operations from these modules.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PREFIX = "loewner._kernels"
 
-_edited: list[str] = []  # Modules whose files were edited before they were imported.
+_edited: list[str] = []  # Modules that were edited after `_texts` had read them, but before they were imported.
 
 
 @cache
@@ -90,7 +91,8 @@ def expect_as_read(module: str) -> None:
     Otherwise, the module's code would get the key of the sources from before the edit.
     """
     name = module.removeprefix(f"{_PREFIX}.").replace(".", "/")
-    path = Path(_sources.__file__).parent / f"{name}.py"  # An archive is never edited.
+    # For a module in an archive, this file does not exist; an archive is never edited.
+    path = Path(_sources.__file__).parent / f"{name}.py"
     if name in _texts() and path.exists() and path.read_bytes() != _texts()[name]:
         _edited.append(module)
 
@@ -151,7 +153,7 @@ def claimed(key: str) -> Iterator[None]:
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
         file = claim.open("wb")
-    except OSError:  # If the file cannot be written, the code is compiled in memory.
+    except OSError:  # If the claim's file cannot be created, code is compiled without a claim.
         yield
         return
     with file:

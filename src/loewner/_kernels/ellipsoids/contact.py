@@ -54,7 +54,8 @@ def polynomials(P, Q, r):
     c0 = dot(apply_symmetric(A, r), r)
     c1 = dot(apply_symmetric(M, r), r)
     c2 = dot(apply_symmetric(B, r), r)
-    # For two spheres, F is largest at s = (radius of a) / (sum of radii). In general, use the widths along r.
+    # For two spheres, F is largest at s = (radius of a) / (sum of radii). For other ellipsoids, replace the radii by
+    # the widths along r.
     hp = sqrt(maximum(dot(apply_symmetric(P, r), r), 0.0))
     hq = sqrt(maximum(dot(apply_symmetric(Q, r), r), 0.0))
     # The small terms avoid 0 / 0 for concentric ellipsoids (r = 0), for which F is 0 everywhere and any s is valid.
@@ -73,14 +74,15 @@ def newton_step(d, q, s):
     value_q = q[0] + s * (q[1] + s * q[2])
     slope_q = q[1] + 2.0 * s * q[2]
     w = s - s * s
-    # With F = f/d, apply Newton's method to F' = g/d² = 0.
+    # Write F = f/d, and apply Newton's method to F' = g/d² = 0.
     f = w * value_q
     slope_f = (1.0 - 2.0 * s) * value_q + w * slope_q
     bend_f = 2.0 * ((1.0 - 2.0 * s) * slope_q - value_q + w * q[2])
     g = slope_f * value_d - f * slope_d
     slope_g = bend_f * value_d - f * bend_d
     t = s - g * value_d / (slope_g * value_d - 2.0 * g * slope_d)
-    # F is concave, so a step past the end is simply clamped; a NaN (from r = 0) becomes `low`.
+    # Because F is concave, a step beyond `low` or `high` can simply be clamped. A NaN, which occurs if r = 0, becomes
+    # `low`.
     low = 0.125 * s
     high = 0.875 + 0.125 * s
     return minimum(maximum(t, low), high)
@@ -146,7 +148,7 @@ def separation(P, Q, r, n, size):
 def gap_bound(offset, width_p, width_q, length, size):
     """Compute the bound of `separation` from n·r, the two outward widths and |n|."""
     bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
-    # The division rounds as well, so the bound is lowered by more than this rounding.
+    # The division adds a rounding error, so the bound is lowered by more than this error.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
 
@@ -190,16 +192,18 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     width_p, Pn = outward_width(P, n, squared)
     width_q, Qn = outward_width(Q, n, squared)
     u = 1.0 - s
-    # The level of each point in its own ellipsoid is the width, plus the effect of rounding P n.
+    # The level of each point in its own ellipsoid is the width times 1-s or s, plus a bound on the effect of the
+    # rounding of P n or Q n.
     level_a = u * (width_p + SHAPE_ROUNDINGS * trace(P) * length / sigma_a)
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
     # The difference between the two points, computed as r - K n, is zero in exact arithmetic.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
     slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
-    # A NaN in either value must be kept, but `maximum` passes on a NaN only from its second argument.
+    # If either value is NaN, the level must be NaN, too, but `maximum` passes on a NaN only from its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
-    # A ball of radius (1 - level) σ around the common point lies inside each ellipsoid.
+    # For each ellipsoid with its own level and σ, the ball of radius (1 - level) σ around the common point lies inside
+    # the ellipsoid.
     depth = ((1.0 - level_a) * sigma_a + (1.0 - common) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)
     # Pull each point back into its own ellipsoid if it lies outside.
     fa = u / maximum(1.0, level_a * (1.0 + 8.0 * UNIT_ROUNDOFF))

@@ -12,18 +12,19 @@ from loewner._kernels.simd.vectors import LANES, bits_set, broadcast, load, maxi
 
 WORD = 64
 
-# A candidate takes ROWS numbers: its center, its axis, the inverse squared length of the axis, and its radius.
+# Number of values that describe a candidate: its center (3), half its axis (3), the inverse squared length of half its
+# axis, and its radius.
 ROWS = 8
 
-# An exchange compares all candidates that hold a chosen point. About SEEN missed points serve as a sample for this
-# comparison.
+# Maximum size of the sample of missed points by which an exchange compares candidates. The exchange chooses one missed
+# point, and compares all candidates that hold this point.
 SEEN = 128
 
-# STEPS_EACH is the largest number of exchanges for each initially chosen candidate. A candidate should not be dropped
-# again sooner than WAITS exchanges after its last change.
+# STEPS_EACH: maximum number of exchanges for each candidate that was chosen at first. WAITS: number of exchanges after
+# the last change of a candidate during which the candidate is dropped only if all others changed as recently.
 STEPS_EACH, WAITS = 50, 3
 
-# Stride through the missed points; it is a prime number.
+# Stride with which successive exchanges choose among the missed points; a prime number.
 STRIDE = 7919
 
 
@@ -179,11 +180,11 @@ def _exchange(count, steps, by_point, by_candidate, missed, chosen, found):
     dropped first, until a point is missed.
     """
     m = len(by_candidate)
-    # For each point: the number of chosen candidates that hold it, and the sum of their indices (for a single
-    # candidate, its index).
+    # For each point: the number of chosen candidates that hold it, and the sum of their indices. If only one candidate
+    # holds the point, the sum is the index of this candidate.
     held, holder = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    # The weights of the points are integers. The loss of a chosen candidate is the total weight of the points that no
-    # other chosen candidate holds.
+    # The weights of the points are integers, stored as floats. The loss of a chosen candidate is the total weight of
+    # the points that this candidate holds and that no other chosen candidate holds.
     weight, loss = np.ones(count), np.zeros(m)
     last, now, used = np.full(m, -10), np.empty(found, np.int64), found
     seen, gain = np.empty(count, np.int64), np.zeros(m)

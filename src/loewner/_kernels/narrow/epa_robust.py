@@ -18,26 +18,27 @@ from loewner._kernels.linalg3 import cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# For a pair of polytopes, the search ends at a true face of A - B, after a few dozen faces. Only curved pieces need
-# MAX_POINTS: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius in the worst case (all
-# directions equally deep), and much better otherwise.
+# Maximum number of support points. For two polytopes, the search ends at a true face of A - B after a few dozen faces,
+# far below this limit. Only curved pieces may reach it: 1,500 support points resolve a sphere's depth to about 1e-6 of
+# its radius in the worst case (all directions equally deep), and much better otherwise.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
-NO_VOLUME = -2e300  # NO_VOLUME replaces a depth if the Minkowski difference is a point, a segment or a polygon.
+NO_VOLUME = -2e300  # Value in place of a depth if the Minkowski difference is only a point, a segment or a polygon.
 
-# A face may supply the witnesses if it is farther away than the nearest face by at most WITNESS_WINDOW rounding errors
-# (1.4e-10 of the lengths).
+# A face may supply the witnesses if its offset exceeds the smallest offset by at most this multiple of the rounding
+# error (1.4e-10 of the lengths), or by at most the gap between the bounds on the depth.
 WITNESS_WINDOW = 2e4
 
-# Support points in directions at an angle of about HAIR [rad] to the normal refine a witness. The relative error of the
+# Angle [rad] between the normal and the directions whose support points refine the witnesses. The relative error of the
 # depth is the square of this angle.
 HAIR = 1e-5
 
-# A face is thin if the sine at one of its corners is below THIN. The normal of a thin face is computed with more care.
+# A face is thin if the sine of the angle at its first corner is below this limit. The normal of a thin face is computed
+# with more care.
 THIN = 1e-4
 
 DEPTH_ACCURACY = 1e-11  # Accuracy for distance queries.
-CONTACT_ACCURACY = 1e-13  # Accuracy needed to distinguish a graze from a gap.
+CONTACT_ACCURACY = 1e-13  # Accuracy that is needed to distinguish touching from a small gap.
 
 
 class Workspace(NamedTuple):
@@ -96,12 +97,12 @@ def _face(S, corners, normals, offsets, f):
 @njit()
 def _first_tetrahedron(A, B, shift, n, S):
     """Write four support points that span a volume, the first two along n and -n, to rows 0..3 of S."""
-    # Row numbers are passed as data, because Numba would compile the functions below once for each constant.
+    # Pass the row numbers as entries of an array. Numba would compile the functions below once for each literal number.
     rows = np.arange(5)
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])
-    # The third point lies off the line of the first two, and the fourth point off the plane of the first three. Each
-    # is the farther of the support points in two opposite directions.
+    # The third point lies off the line through the first two, and the fourth point off the plane through the first
+    # three. Each is the farther of the support points in two opposite directions.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
     ez = S[1, 2] - S[0, 2]
@@ -194,7 +195,7 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
     alive[first] = False
     free[counts[1]] = first
     counts[1] += 1
-    # Crossing the edges of each face in order, depth first, yields the edges of the rim in order.
+    # A depth-first search that crosses the edges of each face in order reaches the edges of the rim in order.
     top = 0
     for e in range(2, -1, -1):
         stack[top, 0] = first
@@ -235,7 +236,8 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
         e = horizon[r, 1]
         h = horizon[(r + 1) % rim, 0]
         e2 = horizon[(r + 1) % rim, 1]
-        # In the visible face g, the rim edge runs from corner e+1 to corner e.
+        # Face g is not visible: it lies beyond the rim. In the visible face on the other side of the rim edge, this
+        # edge runs from corner e+1 of g to corner e of g, where the next rim edge must begin.
         if corners[g, e] != corners[h, (e2 + 1) % 3]:
             return False
     if counts[1] + (MAX_FACES - counts[0]) < rim:
@@ -323,11 +325,12 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
-        # Cores that span no volume (points, parallel segments) have depth zero, because any shift perpendicular to
-        # their plane or line separates them. The caller takes the deepest points from GJK.
+        # If the Minkowski difference of the cores has no volume (as for two points or two parallel segments), the depth
+        # is zero, because any shift perpendicular to the plane or line of the difference separates the cores. The
+        # caller takes the deepest points from GJK.
         return NO_VOLUME, NO_VOLUME, False
-    # Faces 0..3 lie opposite corners 0..3. Once the tetrahedron is oriented, the corners of each face run
-    # counter-clockwise when seen from outside.
+    # Each face of the first tetrahedron has the number of the opposite corner. Once the tetrahedron is oriented, the
+    # corners of each face run counter-clockwise when seen from outside.
     if _volume(S) < 0.0:  # Swap two corners, so that the faces in the fixed table below point outward.
         for c in range(9):
             S[0, c], S[1, c] = S[1, c], S[0, c]
@@ -364,7 +367,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         nx = normals[nearest, 0]
         ny = normals[nearest, 1]
         nz = normals[nearest, 2]
-        # The point that is lowest along -n is the farthest along n.
+        # `minkowski_support` finds the point that is lowest along its argument; for -n, this is the point farthest
+        # along n.
         _support(A, B, shift, (-nx, -ny, -nz), S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         if height < upper:
@@ -374,7 +378,8 @@ def _expanded(A, B, shift, accuracy, first, work, result):
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
         if _known(S, used):
-            # A thin face that is folded over a face of A - B has the opposite of that face's normal.
+            # A thin face may be folded over a true face of A - B. Its normal is then opposite to the normal of the true
+            # face.
             _support(A, B, shift, (nx, ny, nz), S, used)
             height = -(nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2])
             astray = height + least > 4.0 * error
@@ -392,12 +397,12 @@ def _expanded(A, B, shift, accuracy, first, work, result):
     count[0] = counts[0] if closed else 0
     if last < 0:
         return -np.inf, np.inf, False
-    # If many directions are equally deep, the faces are still coarse. The support points of directions very close to
-    # the best normal span a much finer face.
+    # If the depth is nearly the same in many directions, the search ends while the faces are still coarse. The support
+    # points in directions very close to the best normal span a much finer face.
     if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
         return lower, upper, astray
-    # Several faces may share the nearest plane; on curved pieces, thin faces lie within rounding of this plane. The
-    # face that contains the foot of the origin determines the witnesses.
+    # Several faces may lie in the nearest plane; on curved pieces, thin faces may lie in it up to rounding. The face
+    # that contains the foot of the origin determines the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
     best = -np.inf
     for f in range(counts[0]):

@@ -23,7 +23,7 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import radius
 
-SIZE = max(MEMORY.size(), SURFACE_SIZE)  # `exact_piece_pair` writes to SIZE bytes of memory.
+SIZE = max(MEMORY.size(), SURFACE_SIZE)  # Size [bytes] of the memory to which `exact_piece_pair` writes.
 
 
 @apart

@@ -31,7 +31,7 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-# An inner ellipsoid whose least semi-axis is at most NO_INSIDE [m] counts as absent.
+# An inner ellipsoid counts as absent if its least semi-axis is at most this length [m].
 NO_INSIDE = 1e-100
 
 
@@ -148,8 +148,8 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = epa_robust.penetration(S, B, shift, epa_robust.DEPTH_ACCURACY, work, own)
-                # The Minkowski difference of a triangle and a point or segment in its plane is flat, and proves
-                # nothing.
+                # If B's core is a point or a segment in the plane of the triangle, the Minkowski difference is flat,
+                # and no depth is proven.
                 deep = epa_robust.proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = epa_fast.overlap_depth(S, B, n, faces, edges, own)

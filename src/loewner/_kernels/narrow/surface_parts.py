@@ -15,7 +15,7 @@ from loewner._kernels.narrow.surface_walk import left_of
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
-CHUNK = 16  # CHUNK pairs are tested at a time, because one of the first pairs usually decides.
+CHUNK = 16  # Number of pairs that are tested at a time; small, because one of the first pairs usually decides.
 
 _LISTED = arena(CHUNK)
 _SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()
@@ -47,8 +47,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     listed = _listed_at(memory.ctypes.data)
     pair_tier = OPEN
     for turn in range(2):
-        # First try all pairs of inner ellipsoids, any of which may overlap, and then all pairs of outer ellipsoids, all
-        # of which must be apart.
+        # First, test the pairs of inner ellipsoids: one overlapping pair is enough. Then, test the pairs of outer
+        # ellipsoids: all pairs must be apart.
         first_a, end_a = inner_a if turn == 0 else outer_a
         first_b, end_b = inner_b if turn == 0 else outer_b
         wide, total = end_b - first_b, (end_a - first_a) * (end_b - first_b)
@@ -69,7 +69,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
                 break
         if pair_tier == BY_INNER:
             break
-        # Ellipsoids around triangles need not contain the volume that the triangles enclose.
+        # Ellipsoids around triangles need not contain the volume that the triangles enclose, so neither piece may lie
+        # within the other.
         if apart_all and _none_within(placed(a, i, Ta, ka), placed(b, j, Tb, kb)):
             pair_tier = BY_OUTER
     held(memory)

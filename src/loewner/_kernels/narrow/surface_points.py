@@ -18,11 +18,12 @@ from loewner._kernels.simd.vectors import absolute, load, load_single, maximum, 
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, ROWS, WIDE, leaf_of, size_of
 
-# Possible places of a point, in order of increasing danger.
+# Where a point may lie relative to a solid, in order of increasing danger.
 OUTSIDE, UNKNOWN, WITHIN = 0, 1, 2
 
-# A ray runs near one axis, with slopes towards the other two axes, because a ray along an axis would meet many edges of
-# typical meshes. Each of six rays changes the slopes by a further tenth, and both slopes stay positive.
+# Slopes of the first ray, which runs near one axis, towards the other two axes. A ray exactly along an axis would meet
+# many edges of typical meshes. From each of the six rays to the next, one slope grows by 0.1 and the other falls by
+# 0.1; both stay positive.
 LEAN_I, LEAN_J = 0.07391, 0.61803
 
 
@@ -59,7 +60,7 @@ def _parts_within(A, B, shift, size, memory):
 def point_within(A, x, size, memory):
     """Return whether a point, given in world axes from the translation of A, lies within the solid A."""
     R = rotation_of(A)
-    # Use the inverse, not the transpose, because a pose is only required to be rigid to 1e-6.
+    # Use the inverse of the rotation, not its transpose, because a pose is only required to be rigid to within 1e-6.
     u, v, w = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
     volume = dot(cross(u, v), w)
     q = dot(cross(v, w), x) / volume, dot(cross(w, u), x) / volume, dot(cross(u, v), x) / volume
@@ -140,16 +141,16 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
         across = maximum(_largest(u0, u1, u2), _largest(v0, v1, v2))
-        # Error of a coordinate across the ray: the point's error, plus the rounding of the slope times the length
-        # ahead.
+        # Error of a coordinate perpendicular to the ray: twice the error of a point, plus the rounding error of the
+        # slope times the distance from the point along the axis.
         off = 2.0 * error + ahead * (4.0 * UNIT_ROUNDOFF)
         limit = across * (8.0 * off) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
         beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
         behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
-        # The weighted sum of the distances is the place at which the ray's line meets the triangle's plane, times the
-        # area.
+        # The sum of the corners' distances along the axis, weighted with these areas, is the distance at which the
+        # ray's line meets the triangle's plane, times twice the area of the triangle seen along the ray.
         where = d0 * w2 + d1 * w0 + d2 * w1
         doubtful = (limit * ahead + across * across * error) * 8.0
         beyond = (left & (where < -doubtful)) | (right & (where > doubtful))
@@ -185,7 +186,8 @@ def _count(bits):
 def nearest_point(A, x, size, memory):
     """Distance from surface A to a point (in world axes, relative to A's translation), and the nearest point of A."""
     a, R = surface_of(A), rotation_of(A)
-    # Boxes are compared in A's axes, which may deviate from orthonormal axes by 1e-6, and triangles in world axes.
+    # Compute distances to boxes in A's axes, which may deviate from orthonormal axes by 1e-6, and distances to
+    # triangles in world axes.
     single = singles((dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)))
     slack = np.float32(1e-5 * size)
     lanes, placed = walk.lanes_of(memory), walk.placed_of(memory)

@@ -23,28 +23,30 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size
 # Error of a coordinate of a placed corner, relative to the lengths involved.
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # certified.md B36, B42
 
-# Poses may stretch lengths by 1e-6, and bounds are squared and rounded. A squared bound times BELIEVED stays valid.
+# Factor by which a squared lower bound is lowered, so that it stays valid although poses may stretch lengths by 1e-6,
+# and although the bound was squared and rounded.
 BELIEVED = 1.0 - 1e-5  # certified.md B41
 
-# Boxes are searched in the order of a key: their squared lower bound plus MIDDLES times the squared distance between
-# the centers.
+# Weight in the key that orders the boxes of a search: the key is the squared lower bound, plus this weight times the
+# squared distance between the centers.
 MIDDLES = 0.1
 
-STACK = 2 * LEVELS * WIDE  # The stack has room for the entries of two trees.
-PLANES, PLANE = 4, 4  # A search keeps the last PLANES planes, each with PLANE numbers: a normal and an offset.
-PARTING = 14  # PARTING numbers describe a plane between two surfaces at two poses, see `surface_swept`.
+STACK = 2 * LEVELS * WIDE  # Maximum number of entries of the stack: enough for two trees.
+# PLANES: number of the most recent planes that a search keeps. PLANE: number of values of a plane (normal, offset).
+PLANES, PLANE = 4, 4
+PARTING = 14  # Number of values of a plane that parts a surface from another one at two poses (`surface_swept`).
 ORIGIN = (0.0, 0.0, 0.0)
 
 TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))
 _layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
 
 MEMORY = Arena(
-    # The stack holds boxes of both trees; a walk through one tree uses only the first column.
+    # Each entry of the stack holds a box of each tree; a walk through one tree uses only the first column.
     stack=integers(STACK, 2),
-    placed=floats(3 * BLOCK),  # Corners of two leaves, one of them at two poses.
-    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # Memory of a GJK search.
+    placed=floats(3 * BLOCK),  # Corners of the triangles in two leaves; one leaf may have two poses.
+    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # Memory for a GJK search.
     planes=floats(PLANES * PLANE), parting=floats(PLANES * PARTING),
-    # For each entry of the stack: a squared lower bound on the distance, and the key that orders entries.
+    # For each entry of the stack: a squared lower bound on the distance, and the key by which entries are ordered.
     bounds=floats(STACK, 2),
     lanes=floats(2 * WIDE),
     first=TRIANGLE, second=TRIANGLE,
@@ -325,7 +327,7 @@ def triangle_piece(P, triangle, rounding, memory):
 # -- searches of triangles, which end with a plane ------------------------------------------------
 
 
-# The two searches are long, so their callers in this file should share one copy of each.
+# The code of the two searches is long, so all callers share one copy of each.
 @apart
 def decided(A, B, shift, W, ends, n, error):
     """Call `gjk_fast.decide`."""
@@ -366,7 +368,7 @@ def unit(n):
 def keep_plane(B, shift, R, n, size, planes, k):
     """Write plane k, in the axes R of a surface's frame: the direction n, and a lower bound on B along n."""
     length = np.sqrt(dot(n, n))
-    if not 0.0 < length < np.inf:  # The vector n has no direction: write a plane that has nothing beyond it.
+    if not 0.0 < length < np.inf:  # If n has no direction, write a plane that excludes no triangle.
         planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
         planes[PLANE * k + 3] = -np.inf
         return

@@ -22,14 +22,16 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import BLOCK, DEEPEST, GRID
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-LEAF = 32  # A cell with at most LEAF vertices (four blocks) is not divided further.
+LEAF = 32  # A cell with at most this number of vertices (four blocks) is not divided further.
 
-# Division stops when the leaves hold MOST_COPIES copies of a vertex on average; two or three copies are usual.
+# Division stops when the leaves hold more than this number of copies of each vertex on average; two or three copies are
+# usual.
 MOST_COPIES = 8
 
-# A cell omits a vertex only if another vertex is farther by CLEARANCE times the largest coordinate. The product of a
-# vertex with a direction (entries at most 1) has an error of 9u. Rounding that moves a direction into a neighbouring
-# cell, by 4u in two entries, changes the difference of the products by 16u.
+# Margin, as a share of the largest coordinate, by which another vertex must be farther before a cell omits a vertex. In
+# units of this coordinate, the product of a vertex and a direction (with entries of at most 1) has an error of 9u.
+# Rounding that moves a direction into a neighbouring cell changes two entries by 4u, and thus the difference between
+# the products of two vertices by 16u.
 CLEARANCE = 64.0 * UNIT_ROUNDOFF  # certified.md B18
 
 
@@ -59,7 +61,7 @@ def place(x, y, z):
     scale = 0.5 * GRID / abs(major)
     s = s * scale + 0.5 * GRID
     t = t * scale + 0.5 * GRID
-    # This form turns NaN into 0.
+    # These comparisons turn a NaN into 0.
     s = s if s > 0.0 else 0.0
     t = t if t > 0.0 else 0.0
     return face, np.int64(min(s, GRID - 1.0)), np.int64(min(t, GRID - 1.0))
@@ -154,7 +156,7 @@ def map_within(vertices, slack):
     The map is for directions whose largest entry is 1.
     """
     count = len(vertices)
-    # The pool holds the lists of vertices on the current path from the root, one after another.
+    # The pool holds, one after another, the lists of vertices of the cells on the current path from the root.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
         pool[v] = v
@@ -165,8 +167,9 @@ def map_within(vertices, slack):
     used = 0
     nodes = np.empty(4 * count)
     node_count = 6
-    # Each level of the current path has a row: node of the first child, number of children done, face, level, s and t
-    # of the first child, first entry of the parent's list, and the index after its last entry.
+    # Each level of the current path has a row: number of the first child node; number of children already processed;
+    # face; level, s and t of the first child; and in the pool, index of the first entry of the parent's list, and index
+    # after its last entry.
     path = np.zeros((DEEPEST + 2, 8), np.int64)
     path[0, 7] = count
     depth = 0

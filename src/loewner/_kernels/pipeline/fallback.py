@@ -22,11 +22,11 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.trees import piece_tree
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
-CHUNK = 64  # The trees yield up to CHUNK piece pairs at a time.
+CHUNK = 64  # Maximum number of piece pairs that the trees yield at a time.
 
-TRIANGLE_SIZE = TRIANGLE.size()  # A triangle takes TRIANGLE_SIZE bytes.
+TRIANGLE_SIZE = TRIANGLE.size()  # Size [bytes] of the memory for a triangle as a piece.
 
-ROOM = 4096  # Limit on the number of triangles of a surface that a convex piece may touch or nearly touch.
+ROOM = 4096  # Maximum number of listed triangles of a surface that a convex piece touches or nearly touches.
 
 
 @njit()
@@ -148,7 +148,7 @@ def exact_parts(pack, piece):
         One point of each connected part of a surface, or one point of the core of a convex piece.
     """
     pieces = pieces_of(pack)
-    poses = np.zeros((1, 4, 4))  # The pose does not affect any result.
+    poses = np.zeros((1, 4, 4))  # The results do not depend on the pose.
     P = placed(pieces, piece, poses, 0)
     if not is_surface(P):
         point = np.empty((1, 3))
@@ -179,9 +179,10 @@ def _piece_pair(A, B, margin, work):
         return FREE
     if status == TOUCHING:
         return COLLIDING
-    # GJK can be slow if curved pieces barely overlap. The expanding polytope then finds the same contact from inside.
+    # If curved pieces barely overlap, GJK can be slow. In this case, the expanding polytope finds the same contact from
+    # inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == NO_VOLUME:  # NO_VOLUME is a sentinel, not a depth, and must not count as a separation.
+    if deep == NO_VOLUME:  # NO_VOLUME is a special value, not a depth, and must not count as a gap.
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

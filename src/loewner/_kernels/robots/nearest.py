@@ -53,15 +53,15 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UP
 from loewner._kernels.trees import piece_tree
 
-S = SINGLE_LANES  # A block has S configurations.
+S = SINGLE_LANES  # Number of configurations in a block.
 
-# The factor DOWN lowers a lower bound in single precision by more than its rounding error.
+# Factor that lowers a lower bound in single precision by more than its rounding error.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
-    bodies=integers(QUEUED),  # The pair of bodies of each queued piece pair.
-    seeds=floats(S),  # The pair with the least bound at each configuration.
+    bodies=integers(QUEUED),  # For each queued piece pair: the pair of bodies to which it belongs.
+    seeds=floats(S),  # For each configuration: the pair of bodies with the least bound.
     low=floats(S),
     high=floats(S),
     exact=Arena(
@@ -70,7 +70,7 @@ MEMORY = Arena(
     ),
     steps=integers(piece_tree.STEPS),
     numbers=floats(piece_tree.NUMBERS),
-    least=floats(S * PAIRS),  # Lower bounds for the pairs.
+    least=floats(S * PAIRS),  # Lower bounds on the distances of the pairs of bodies.
     placement=PLACEMENT,
 )  # fmt: skip
 _distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (

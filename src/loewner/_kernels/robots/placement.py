@@ -40,9 +40,10 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import LEAST, OFF, SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UP
 
-MOST = 64  # A block has up to MOST configurations.
+MOST = 64  # Maximum number of configurations in a block.
 
-# Columns of a body's bounds: the center, the radius of a sphere around it, and the half widths of a box.
+# Columns of a body's bounds: a center, the radius of a sphere around this center, and the half widths of a box around
+# it.
 X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z = 0, 1, 2, 3, 4, 5, 6
 
 
@@ -164,7 +165,7 @@ def _write_one(hot, p, found, S, at, to):
 def place_joints(problem, Q, first, last, to):
     """Compute the links' poses at the configurations first .. last, at most eight, for `place_body`."""
     for lane in range(LANES):
-        to.numbers[lane] = min(first + lane, last)  # Repeats of the last configuration pad the rows.
+        to.numbers[lane] = min(first + lane, last)  # If there are fewer than eight, repeat the last one.
     place_links(problem.tree, Q, to.numbers, 0, to.links)
 
 
@@ -178,8 +179,8 @@ def _place_pieces(pieces, ball, body, R, t, S, at, to, write):
     center, half = ellipsoids.outer, _half_widths(ellipsoids)
     wide = (OFF * ellipsoids.length + LEAST) + ball[body, 3] * UP
     if piece_start[body + 1] - p > 1:
-        # If there are few pieces, this box around the ball's center contains their boxes; otherwise, it contains the
-        # ball.
+        # The box has its center at the ball's center. If there are few pieces, the box contains the boxes of all
+        # pieces; otherwise, it contains the ball.
         center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length

@@ -44,11 +44,11 @@ from loewner._kernels.simd.memory import held, integers_at
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum
 from loewner._kernels.tolerances import CHAIN_STRETCH, LEAST, OFF, ROTATION_TOLERANCE, SHAPE_ROUNDINGS, UP
 
-# The factor STRETCH allows for rounding, and for poses accepted as rigid, which may stretch lengths. The pose of a base
-# also stretches reaches.
+# Factor that allows for rounding, and for poses that are accepted as rigid but may stretch lengths. The pose of a
+# robot's base also stretches the reaches.
 STRETCH = 1.0 + 4.0 * ROTATION_TOLERANCE
 
-LINE = CACHE_LINE // 8  # A cache line has LINE words.
+LINE = CACHE_LINE // 8  # Number of 8-byte words in a cache line.
 
 
 class _Box(NamedTuple):
@@ -137,7 +137,7 @@ def _joint(tree, link):
     axis = 0.0, 0.0, 0.0
     if tree.kind[link] == REVOLUTE or tree.kind[link] == PLANAR:
         largest = 0.0
-        for row in range(3):  # The vectors v are the rows of R axis axisᵀ: the components along the axis.
+        for row in range(3):  # The vector v is a row of R axis axisᵀ, a multiple of the axis.
             v = _three(tree.constants, link, ROTATION + 3 * row)
             if dot(v, v) > largest:
                 largest, axis = dot(v, v), v
@@ -150,7 +150,7 @@ def _swept(kind, center, radius, axis):
     """Farthest reach of a ball from a joint's axis, and a ball about the region swept as the joint turns."""
     if kind in (FIXED, PRISMATIC):
         return 0.0, center, radius
-    # The axis of a floating or ball joint is 0 here, because the joint may turn about any axis through its origin.
+    # For a floating or ball joint, `axis` is 0 here, because the joint may turn about any axis through its origin.
     onto = scaled(dot(axis, center), axis)
     r = minus(center, onto)
     far = np.sqrt(dot(r, r)) + radius
@@ -207,7 +207,7 @@ def measure_moving(pack, problem_handle, tables_handle):
             c = _three(pieces.table, piece, OUTER_CENTER)
             least = min(least[0], c[0]), min(least[1], c[1]), min(least[2], c[2])
             most = max(most[0], c[0]), max(most[1], c[1]), max(most[2], c[2])
-        # The kernels assume that a single piece and its outer ellipsoid have the same center.
+        # For a body with a single piece, the kernels assume that this point is also the center of the outer ellipsoid.
         middle = scaled(0.5, plus(least, most))
         radius = _farthest(pieces, first, last, same, zero, middle) * STRETCH
         _write(problem.ball, body, 0, middle)
@@ -249,7 +249,7 @@ def place_static(pack, handle, block, poses):
     for k in range(len(poses)):
         moved = False
         for entry in range(16):
-            # The stored pose is NaN for a body that has not been placed yet.
+            # The stored pose of a body that has not been placed yet is NaN.
             moved |= poses[k, entry] != problem.standing_poses[k, entry]
         if moved:
             for entry in range(16):
@@ -285,7 +285,8 @@ def _place(pieces, problem, tables, moving, k, balls):
         rows[row, REACH] = (hot[piece, REACH] + away) * UP
         rows[row, OUTER_RADIUS] *= UP
         rows[row, INVERSE_INNER_SIGMA] *= UP
-        for column in range(HOT):  # Numbers that are too large become infinite and certify nothing.
+        # Numbers that are too large for single precision become infinite, and then certify nothing.
+        for column in range(HOT):
             problem.standing_rows[row, column] = rows[row, column]
         # A piece lies in the box of its ellipsoid and, if it is a polytope, in the box of its corners.
         more = SHAPE_ROUNDINGS * (shape[0] + shape[3] + shape[5])
