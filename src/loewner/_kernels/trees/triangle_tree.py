@@ -128,7 +128,7 @@ def triangle_tree(vertices, triangles):
     ellipsoids = np.zeros(OVAL)
     leaf_from = np.empty(4 + count // 4, np.int64)
     nodes, leaves = 1, 0
-    # Each row describes a range in the same way, followed by the place to which the number of the child is written.
+    # Each row describes a range as in `ranges`, followed by the index of the range's entry in `children`.
     waiting = np.empty((LEVELS * WIDE, 4), np.int64)
     _clear(boxes, 0)
     _hull(box, 0, count, hull, 0)
@@ -291,7 +291,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
         for corner in range(3):
             v = triangles[order[n], corner]
             x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
-    # Use the center as stored, so that its rounding has no effect.
+    # Use the center as it is stored, so that its rounding has no effect.
     x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
     xx = xy = xz = yy = yz = zz = radius = 0.0
     for n in range(first, last):
