@@ -7,21 +7,22 @@
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 static const int64_t no_rows[1];
 
-/* One side of a query for kernels: several bodies of a pack, in the form of a separate pack. */
+/* One side of a query, in the form that kernels take: some bodies of a pack, presented as a pack of their own. */
 typedef struct {
     struct pieces pieces;
     int64_t start[2], step, pose_step;
     Array3 poses;
 } View;
 
-/* Return some rows of an array whose items have a given size; an array without rows stays as it is. */
+/* Return the rows first .. first + count - 1 of an array whose entries have `item` bytes; an array without rows is
+   returned unchanged. */
 static Array2 some_rows(Array2 array, size_t item, int64_t first, int64_t count)
 {
     const char *data = array.data;
     return array.rows == 0 ? array : (Array2){data + (int64_t)item * array.columns * first, count, array.columns};
 }
 
-/* View the bodies of the pairs first .. first + n - 1. */
+/* Make a view of the bodies of the pairs first .. first + n - 1. */
 static loewner_status view(const loewner_side *side, size_t first, size_t n, const char *name, View *made)
 {
     REQUIRE(side != NULL && side->bodies != NULL, "%s: expected bodies, found NULL", name);
@@ -37,7 +38,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     pack->piece_start = some_rows(pack->piece_start, 8, which, all ? (int64_t)n + 1 : 2);
     pack->roots = some_rows(pack->roots, 8, which, all ? (int64_t)n : 1);
     const int64_t *start = pack->piece_start.data, *root = pack->roots.data;
-    if (!all && *root < 0) { /* Kernels are faster without the pieces of other bodies. */
+    if (!all && *root < 0) { /* Leave out the pieces of other bodies, because kernels are faster without them. */
         int64_t from = start[0], count = start[1] - from;
         made->start[0] = 0;
         made->start[1] = count;
@@ -55,7 +56,8 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
     return LOEWNER_OK;
 }
 
-/* Arguments that pass two views to kernels, and the plan (an array of five integers) for the n pairs. */
+/* Kernel arguments: the plan for n pairs, which is an array of five integers, and the arguments that describe two
+   views. */
 #define PLAN(n, a, b) {(n), (a).step, (a).pose_step, (b).step, (b).pose_step}
 #define VIEWS(numbers, a, b)                                                                                           \
     .plan = {numbers, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \
@@ -74,7 +76,7 @@ loewner_status settle_all(const struct settle_range *asked, int *are_rigid)
              .plan = asked->plan, .rows = asked->rows, .pack_a = asked->pack_a, .Ta = asked->Ta,
              .pack_b = asked->pack_b, .Tb = asked->Tb, .out = asked->out));
     for (int64_t k = asked->start; k < asked->stop; k++)
-        if (out[k] == CODE_INEXACT) /* Only Python decides such pairs, in exact integers. */
+        if (out[k] == CODE_INEXACT) /* Only the Python package decides such a pair, with exact integers. */
             out[k] = LOEWNER_AMBIGUOUS;
     return LOEWNER_OK;
 }
@@ -125,8 +127,8 @@ void write_distance(loewner_distance *found, const double *lower, const double *
     int is = is_settled && isfinite(values[k]);
     found->lower = lower[k];
     found->upper = upper[k];
-    /* The bounds are proven, but the value is only computed. A value outside the bounds is therefore moved to the
-       nearest bound. */
+    /* The bounds are proven, but the value itself is not. A value outside the bounds is therefore moved to the nearest
+       bound. */
     found->distance = is ? fmax(lower[k], fmin(values[k], upper[k])) : NAN;
     for (int vector = 0; vector < 3; vector++)
         for (int c = 0; c < 3; c++)

@@ -1,5 +1,5 @@
-/* The bodies of a checker, their poses, and the pairs to check, in the form that kernels take. For Python, the kernels
-   of `loewner/_kernels/robots/pair_lists.py` and `joining.py` do the same work. */
+/* The bodies of a checker, their poses, and the pairs to check, in the form that kernels take. Like the Python package,
+   this file calls the kernels of `loewner/_kernels/robots/pair_lists.py` and `loewner/_kernels/pieces/joining.py`. */
 
 #include "internal.h"
 
@@ -33,27 +33,27 @@ static void leave_state(State *state)
 
 /* -- packs of chosen bodies ---------------------------------------------------------------------------------------- */
 
-/* Return the link with which a link moves rigidly: the parent if the link's joint is fixed, otherwise the link itself;
-   -1 is the world. */
+/* Return a link that moves rigidly with the given link: the parent of the given link (-1 for the world) if the joint
+   between them is fixed, and otherwise the given link itself. */
 static int64_t rigid_link(const Tree *tree, int64_t link)
 {
     return tree->kind[link] == FIXED ? tree->parent[link] : link;
 }
 
-/* Return whether the body at a place never moves. */
+/* Return whether the body at position k never moves. */
 static int stands(const State *state, int64_t k)
 {
     return k >= state->moving || rigid_link(&state->tree, state->link[k]) == rigid_link(&state->tree, 0);
 }
 
-/* Return the pack of the body at a place. */
+/* Return the pack from which the body at position k is taken. */
 static const struct pieces *pack_of(const State *state, const Body *body, int64_t k, Cutting cutting)
 {
     int is_whole = !body->file->has_cut || (cutting == OPEN_CUT && !stands(state, k));
     return body->file->packs + (is_whole ? WHOLE : cutting);
 }
 
-/* Make one pack of the bodies of a state. */
+/* Join all bodies of a state in one pack. */
 static loewner_status join(const loewner_checker *checker, State *state, Cutting cutting, Half *half)
 {
     int64_t bodies = state->moving + state->standing, *chosen, words;
@@ -74,7 +74,7 @@ static loewner_status join(const loewner_checker *checker, State *state, Cutting
 
 /* -- links --------------------------------------------------------------------------------------------------------- */
 
-/* Multiply a link's constant pose by another pose, and write the product as the constants of a link. */
+/* Multiply the constant pose of a link by another pose, and write the product to the constants of a new link. */
 static void place_link(const double *constants, const double *pose, double *made)
 {
     for (int r = 0; r < 3; r++)
@@ -86,7 +86,7 @@ static void place_link(const double *constants, const double *pose, double *made
         }
 }
 
-/* Write the robot's links, and then a fixed link for each attached body. */
+/* Build the tree of links: the robot's links, followed by one link with a fixed joint for each attached body. */
 static loewner_status grow_tree(const loewner_checker *checker, State *state)
 {
     static const double at_link[LINK_CONSTANTS] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -119,7 +119,7 @@ static loewner_status grow_tree(const loewner_checker *checker, State *state)
 
 /* -- pairs --------------------------------------------------------------------------------------------------------- */
 
-/* Return the index of the row that begins with the bodies a and b, where a < b; -1 if the table has no such row. */
+/* Return the index of the row that begins with the bodies a and b, where a < b, or -1 if the table has no such row. */
 static int64_t row_of(const int64_t *rows, int64_t count, int64_t width, int64_t a, int64_t b)
 {
     for (int64_t k = 0; k < count; k++)
@@ -153,13 +153,14 @@ static void add_rule(const State *state, Rules *rules, int64_t a, int64_t b, int
     rules->margins[rules->count++] = margin;
 }
 
-/* List the rules of the file and of the user, and rules for attached bodies, which may touch the robot's own bodies on
-   their touch links. */
+/* List the rules from the file and from the user, and the rules for attached bodies: an attached body may touch the
+   robot's own bodies on its touch links. */
 static void list_rules(const loewner_checker *checker, const State *state, Rules *rules)
 {
     const File *file = checker->file;
     int64_t at = 0;
-    /* The file lists all pairs to check for each body that moves in the file. */
+    /* Among the pairs in the file that contain a moving body, only the listed pairs have to be checked; the bodies of
+       all other pairs may touch. */
     for (int64_t a = 0; a < file->moving; a++)
         for (int64_t b = a + 1; b < file->bodies; b++) {
             const int64_t *pair = file->pair_list + 2 * at;
@@ -182,7 +183,7 @@ static void list_rules(const loewner_checker *checker, const State *state, Rules
         }
 }
 
-/* Choose pairs among all pairs with a moving body; there is room for all such pairs. */
+/* Choose the pairs to check among all pairs with a moving body; `most` is the number of all such pairs. */
 static loewner_status choose_pairs(const loewner_checker *checker, State *state, int64_t most)
 {
     const File *file = checker->file;
@@ -234,8 +235,8 @@ static loewner_status list_pairs(const loewner_checker *checker, State *state)
 
 /* -- halves -------------------------------------------------------------------------------------------------------- */
 
-/* Place the static bodies that have moved, in the same memory. No other thread may query this checker in the
-   meantime. */
+/* Place the static bodies whose poses have changed, and overwrite the previous results in the same memory. No other
+   thread may query this checker in the meantime. */
 static loewner_status place(const State *state, Half *half)
 {
     return CALL(place_static, &half->handle, .pack = (int64_t)&half->pieces, .handle = half->handle,
@@ -273,7 +274,8 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
     half->handle = made.made;
     half->motions = half->handle + (int64_t)offsetof(Tables, motions);
     TRY(place(state, half));
-    /* Compute the sizes of the memory to which queries write. Motions are proven with surfaces cut into parts. */
+    /* Compute how much memory the largest query needs. The last size is for proofs of motions, which use the surfaces
+       that are cut into parts. */
     const Kernels *known = kernels();
     const struct memory_size sized = {(int64_t)&half->pieces, half->handle, checker->file->dof};
     const Kernel sizes[] = {known->memory_size, known->memory_of_nearest, known->memory_of_clearances,
@@ -289,7 +291,7 @@ static loewner_status make_half(const loewner_checker *checker, State *state, Cu
 
 /* -- states -------------------------------------------------------------------------------------------------------- */
 
-/* Order the bodies: first the robot's own bodies, then attached bodies, then static bodies. */
+/* Order the bodies: first the robot's own bodies, then the attached bodies, then the static bodies. */
 static loewner_status arrange(const loewner_checker *checker, State *state)
 {
     int32_t count = checker->body_count, at = 0;
@@ -334,7 +336,7 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     return LOEWNER_OK;
 }
 
-/* Apply the changes; the caller holds the lock. */
+/* Apply all pending changes; the caller must hold the checker's lock. */
 static loewner_status renew(loewner_checker *checker)
 {
     State *state = &checker->state;
@@ -450,7 +452,7 @@ static loewner_status bind(const loewner_checker *checker, loewner_workspace *wo
     return LOEWNER_OK;
 }
 
-/* Apply changes of the scene, in one of the threads that query it. */
+/* Apply pending changes of the scene. If several threads query the checker, only one of them applies the changes. */
 static loewner_status settle_scene(const loewner_checker *checker)
 {
     TRY(expect_pointer(checker, 1, "checker"));
@@ -492,7 +494,7 @@ loewner_status prepare_exact(const loewner_checker *checker, loewner_workspace *
 
 /* -- checkers ------------------------------------------------------------------------------------------------------ */
 
-/* Open the file of a checker, and list its bodies. */
+/* Open a checker's file, and create the list of bodies from it. */
 static loewner_status load(loewner_checker *checker, const char *path)
 {
     TRY(open_file(path, &checker->file));
@@ -740,7 +742,7 @@ loewner_status loewner_checker_detach(loewner_checker *checker, int32_t body, co
     return LOEWNER_OK;
 }
 
-/* Find the rule for a pair; make one if the pair has none. */
+/* Find the rule for a pair; add one if the pair has none. */
 static loewner_status its_rule(loewner_checker *checker, int32_t a, int32_t b, Rule **rule)
 {
     TRY(expect_body(checker, a));
@@ -767,7 +769,8 @@ loewner_status loewner_checker_allow(loewner_checker *checker, int32_t a, int32_
             row_of(file->pair_list, file->pairs, 2, rule->a, rule->b) >= 0,
             "expected a pair that was checked when the file was saved, found %.100s and %.100s",
             checker->bodies[rule->a].name, checker->bodies[rule->b].name);
-    /* Pairs are checked unless the file excludes them; a rule of the file may exclude two static bodies. */
+    /* By default, a pair is checked. Only a rule of the file, which may exclude two static bodies, has to be
+       overridden. */
     int is_ruled = row_of(file->rules, file->rule_count, 3, rule->a, rule->b) >= 0;
     rule->touch = allowed ? 1 : is_ruled ? 0 : -1;
     return LOEWNER_OK;

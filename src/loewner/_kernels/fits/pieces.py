@@ -41,7 +41,7 @@ def face_slacks(vertices, normal, center):
             value += normal[k] * (vertices[i, k] - center[k])
         if value >= edge:
             low = min(low, value)
-    doubt = (n + 2) * noise  # The terms are one rounding for v - c, n for the products and sums, and one to spare.
+    doubt = (n + 2) * noise  # The n + 2 roundings are one for v - c, n for the products and sums, and one to spare.
     return low - doubt, top + doubt
 
 
@@ -111,7 +111,7 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
             value += outer_factor[j, k] * x[k]
         center[j] = outer_center[j] + value
     for i in range(m):
-        lam[i] /= slack_high[i]  # Convert the multiplier from the scaled row to the unit normal.
+        lam[i] /= slack_high[i]  # Convert the multiplier of the scaled row to the multiplier of the unit normal.
         if not many:
             slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
     if many:

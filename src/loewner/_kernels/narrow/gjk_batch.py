@@ -47,27 +47,27 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
-ROUNDS = 10  # Five rounds settle nine in ten pairs, and eight settle 99 in 100.
+ROUNDS = 10  # Maximum number of rounds. Five rounds settle nine in ten pairs, and eight rounds settle 99 in 100.
 
-FEW = 4  # If there are fewer than FEW pairs, searching them one by one is faster.
+FEW = 4  # Minimum number of pairs for the search side by side. Fewer pairs are searched one by one, which is faster.
 
-MOST = 64  # A piece may have up to MOST vertices. With more, sixteen pairs do not fit into the first-level cache.
+MOST = 64  # Maximum number of vertices of a piece. With more, sixteen pairs would not fit into the first-level cache.
 
-# Errors of a width computed by `plane`, and of a product with a support point, in roundoffs of single precision times
-# the lengths. All errors in this module are at least twice the derived values.
+# Allowed errors of a width that `plane` computes, and of a product with a support point, in roundoffs of single
+# precision times the lengths. All errors allowed in this module are at least twice the derived values.
 WIDTH_ERROR = 16.0  # certified.md B9
 PRODUCT_ERROR = 72.0  # certified.md B10
-# Errors of a determinant of three points, and of the sum of four determinants, in roundoffs times the cube of the
-# farthest point's distance from the origin.
+# Allowed errors of a determinant of three points, and of the sum of four determinants, in roundoffs times the cube of
+# the farthest point's distance from the origin.
 VOLUME_ERROR = 98.0  # certified.md B11
 SUM_ERROR = 632.0  # certified.md B12
-# Error of a determinant due to the errors of its points, in roundoffs times the lengths times the squared distance of
-# the farthest point from the origin.
+# Allowed error of a determinant that is caused by the errors of its points, in roundoffs times the lengths times the
+# squared distance of the farthest point from the origin.
 POINT_ERROR = 64.0  # certified.md B13
 
-SHORT = 1e-30  # A direction whose square is below SHORT is not trusted, because the square may lack digits.
+SHORT = 1e-30  # A direction is trusted only if its squared length exceeds this; smaller squares may have lost digits.
 
-VERTEX = 3 * SINGLE_LANES  # One vertex of each of sixteen pieces takes VERTEX entries.
+VERTEX = 3 * SINGLE_LANES  # Number of entries that hold one vertex from each of sixteen pieces.
 
 
 class Workspace(NamedTuple):
@@ -123,7 +123,7 @@ def put(memory, at, k, i, j, ka, kb, n):
 @inline
 def takes(layout, piece):
     """Return whether the functions below accept a piece."""
-    piece = np.uint64(piece)  # The index is unsigned, because a signed index could count from the end.
+    piece = np.uint64(piece)  # With a signed index, Numba would also generate code for negative values.
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
@@ -168,7 +168,8 @@ def _lay(points, first, last, here, most, W, at):
 @inline
 def _farthest(W, start, stop, x, y, z):
     """For each piece, find the vertex in W that has the largest product with the piece's direction."""
-    # Two searches are interleaved, because each step of a search depends on its previous step.
+    # Two searches, through every other vertex each, are interleaved, because each step of a search has to wait for the
+    # previous step of the same search.
     ax, ay, az = load_single(W, start), load_single(W, start + SINGLE_LANES), load_single(W, start + 2 * SINGLE_LANES)
     bx, by, bz = (
         load_single(W, start + VERTEX),
@@ -205,7 +206,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
         the pose. The other arguments are the same for b. `takes` must hold for both pieces.
     """
     x, y, z = n
-    # The indices are unsigned, so that none counts from the end.
+    # The indices are unsigned, so that Numba generates no code for negative values.
     i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
     along_a = (
@@ -224,7 +225,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
     error += position_error(abs(tx) + abs(ty) + abs(tz), UNIT_ROUNDOFF)
     squared = x * x + y * y + z * z
-    # Squares above 1 / SHORT may overflow single precision.
+    # Computations with a direction whose square is above 1 / SHORT may overflow in single precision.
     return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)
 
 
@@ -254,7 +255,7 @@ def faces(A, B, C, E):
     AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
     normals = cross(AB, AC), cross(AC, AE), cross(AE, AB)
     f, g, h = -dot(normals[0], A), -dot(normals[1], A), -dot(normals[2], A)
-    # The four products add up to minus six times the volume of the tetrahedron.
+    # The four heights, times twice the areas of the faces, add up to minus six times the volume of the tetrahedron.
     return f, g, h, dot(normals[0], AE) - (f + g + h), normals
 
 
@@ -274,13 +275,13 @@ def advance(A, B, C, E, two, three, f, g, h):
     n, B, C, E : tuple of 3
     two, three : mask
     """
-    # Continue with one face of the tetrahedron, as the triangle A, B, C.
+    # If the simplex is a tetrahedron, keep the face with the largest of f, g and h, as the triangle A B C.
     second = three & (g > f) & (g >= h)
     third = three & (h > f) & (h > g)
     B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
     plane = two | three
 
-    # The origin projects into the triangle A B C, or lies beyond its edge A B or A C.
+    # Determine whether the origin projects onto the triangle A B C, or lies beyond the edge A B or A C.
     AB, AC = minus(B, A), minus(C, A)
     normal = cross(AB, AC)
     beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
@@ -289,11 +290,11 @@ def advance(A, B, C, E, two, three, f, g, h):
     swap = beyond_c & (dot(AC, A) < 0.0)
     B = selected(swap, C, B)
 
-    # The origin projects into the segment A B, or lies beyond A.
+    # Determine whether the origin projects onto the segment A B, or lies beyond A.
     AB = minus(B, A)
     beside = dot(AB, A) < 0.0
     across = cross(cross(AB, A), AB)
-    # Order the triangle so that A, B, C run counter-clockwise seen from the origin.
+    # Order the corners of the triangle so that A, B, C run counter-clockwise as seen from the origin.
     other = dot(normal, A) <= 0.0
     n = selected(line, selected(beside, across, A), selected(other, negated(normal), normal))
     return n, A, selected(line | other, B, C), selected(other, C, B), line & beside, ~line
@@ -335,8 +336,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
-    # The simplex has one, two or three points B, C, E of the Minkowski difference, the newest first. The direction n
-    # points from the origin to the part of the simplex that is kept.
+    # The simplex has one, two or three points of the Minkowski difference: B, C and E, the newest first. The direction
+    # n points from the origin towards the part of the simplex that is kept.
     n = negated(_directions(N))
     B, C, E = n, n, n
     none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
@@ -363,7 +364,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             break
         largest = maximum(largest, dot(A, A))
         if r == 0:
-            # A direction between the first direction and the direction of the first point saves a round.
+            # A second direction between the first direction and the direction of the first point saves a round.
             kept = np.float32(KEPT) / length
             rest = np.float32(1.0 - KEPT) / sqrt(dot(A, A))
             n = kept * n[0] + rest * A[0], kept * n[1] + rest * A[1], kept * n[2] + rest * A[2]
@@ -371,7 +372,8 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             continue
 
         f, g, h, base, _ = faces(A, B, C, E)
-        # The origin is inside if all four products are negative by more than their rounding errors.
+        # The origin is certainly inside the tetrahedron if all four products are negative by more than their rounding
+        # errors.
         reach = sqrt(largest)
         slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
         inside = (f < -slack) & (g < -slack) & (h < -slack)

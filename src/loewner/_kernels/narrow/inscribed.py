@@ -30,61 +30,66 @@ from loewner._kernels.simd.vectors import absolute, maximum, movemask, next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, longer, size_of
 
-# POINTS_ON surface points are tried for each requested ellipsoid, but at least FEWEST_ON and at most MOST_ON in total.
+# Number of surface points that are tried for each requested ellipsoid, and the smallest and the largest total number of
+# points.
 POINTS_ON = 16
 FEWEST_ON = 64
 MOST_ON = 512
 
-# Squared distances from seeds may be underestimated by the factor ROUGH, which saves most of the search. A ball next to
-# the surface is small enough if no triangle is nearer to its center than OFF_SURFACE times its radius. At most SHRINKS
-# attempts are made to find such a ball.
+# The search for a ball in the solid, next to a surface point: ROUGH is the factor by which squared distances from the
+# center of the ball may be underestimated, which saves most of the search. PLACES are the heights of seeds above the
+# surface, relative to the height of the center. A ball is small enough if no triangle is nearer to the center than
+# OFF_SURFACE times the radius. SHRINKS is the maximum number of attempts to find such a ball.
 ROUGH = 0.8
 PLACES = (1.0, 0.3)
 OFF_SURFACE = 0.87
 SHRINKS = 12
 
-# Smallest allowed semi-axis, relative to the mesh's size. Rounding errors grow with the inverse of the semi-axis, see
+# Smallest allowed semi-axis, relative to the mesh's size. Rounding errors grow with the inverse of the semi-axis; see
 # `prove`.
 LEAST_AXIS = 1e-6
 
-# An ellipsoid is not worth a test if it adds less than LEAST_VOLUME times the volume of the largest one.
+# Smallest volume that an ellipsoid must add to the ellipsoids chosen before, relative to the volume of the largest one.
+# An ellipsoid that adds less is not worth a test.
 LEAST_VOLUME = 1e-3
 
-# A seed grows for at most ROUNDS rounds. Each round chooses planes and fits an ellipsoid between them. A round that
-# enlarges the volume by less than the factor GROWTH is the last.
+# Maximum number of rounds in which a seed grows. Each round chooses planes and fits an ellipsoid between them. A round
+# that enlarges the volume by less than the factor GROWTH is the last.
 ROUNDS = 4
 GROWTH = 1.02
 
-# Half size, in the ellipsoid's metric, of the box in which a round searches for triangles.
+# Half the edge length, in the ellipsoid's metric, of the box in which a round searches for triangles and fits the next
+# ellipsoid.
 REACH = 6.0
 
-# A round uses at most MOST_PLANES planes. A plane represents all triangles beyond it, and also triangles that are in
-# front of it by at most CLOSE times its distance. CLOSE is doubled after every further STEP planes, so the limit
-# suffices.
+# Maximum number of planes that a round adds before the first fit. A plane represents all triangles beyond it, and also
+# triangles in front of it whose distance from it is at most a certain fraction of the plane's distance from the center.
+# This fraction begins at CLOSE and doubles after every STEP planes, so this number of planes is enough.
 MOST_PLANES = 120
 STEP = 20
 CLOSE = 0.01
 
-# A fit may meet triangles that a plane represents only approximately. Up to STEP such triangles then get planes of
-# their own, at most REPAIRS times.
+# Maximum number of repairs of a fit in a round. A fitted ellipsoid may meet triangles that a plane represents only
+# approximately. A repair adds planes for up to STEP such triangles, and repeats the fit.
 REPAIRS = 3
 
-# The first UNCUT seeds grow as far as they can, because one large ellipsoid is worth most. Later seeds are kept out of
-# most of each existing ellipsoid by a plane whose distance from the center of that ellipsoid is BEYOND, in units of its
-# semi-axes.
+# Number of seeds that grow as far as they can, because one large ellipsoid is worth the most. Later seeds are kept out
+# of most of each existing ellipsoid by a plane. BEYOND is the distance between this plane and the center of the
+# existing ellipsoid, in units of this ellipsoid's semi-axes.
 UNCUT = 5
 BEYOND = 0.2
 
-# Allowed gap of the fits in log-volume. The volume that this gap costs is less than the volume that the planes exclude.
+# Allowed optimality gap of a fit, in the logarithm of the volume. This gap costs less volume than the planes exclude.
 FIT_TOLERANCE = 1e-3
 
-# The winding number is computed at this point of an ellipsoid, in units of its semi-axes.
+# Point of an ellipsoid at which the winding number is computed, in units of the semi-axes.
 OFF_CENTER = 0.0271, 0.0317, 0.0123
 
 # Number of points used to estimate what fraction of an ellipsoid lies in other ellipsoids.
 POINTS = 128
 
-# Rounding error of a distance from the center, relative to the metric, see `prove`.
+# Allowed rounding error of a distance from the center, relative to the mesh's size in the ellipsoid's metric; see
+# `prove`.
 ROUNDINGS = 512.0 * UNIT_ROUNDOFF  # certified.md B71
 
 IDENTITY = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
@@ -217,7 +222,7 @@ def least_in(mesh, child, center, G, first, last):
     a, b, c = walk.corners_of(mesh.tree.blocks, leaf_of(child))
     a, b, c = minus(a, center), minus(b, center), minus(c, center)
     bits = (1 << size_of(child)) - 1
-    # Try the newest planes first: only new planes can exclude a leaf that was seen before.
+    # Try the newest planes first, because only new planes can exclude a leaf that has been examined before.
     for k in range(last - 1, first - 1, -1):
         n, edge = normal(mesh, k), mesh.edges[k]
         bits &= ~movemask((dot(a, n) >= edge) & (dot(b, n) >= edge) & (dot(c, n) >= edge))
@@ -261,7 +266,7 @@ def winds_around(mesh, p):
     return number != 0 and number != UNCOUNTED
 
 
-# -- a heap, the least key first
+# -- a heap with the least key first
 
 
 @njit()
@@ -425,7 +430,7 @@ def ball_at(mesh, start, n):
         if distance >= OFF_SURFACE * radius:
             if winds_around(mesh, center):
                 return radius, distance
-            limit = (1.0 - LEAST_AXIS) * radius  # The center may be behind a thin wall.
+            limit = (1.0 - LEAST_AXIS) * radius  # The center may be outside the solid, behind a thin wall.
             distance, q = nearest(mesh, center, IDENTITY, limit, 1.0)
             if not distance < limit:
                 break
@@ -580,8 +585,8 @@ def prove(mesh, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share, _ = nearest(mesh, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            # Any point of the ellipsoid will do. From a point away from the center, no ray runs along an edge of a
-            # symmetric mesh.
+            # Any point of the ellipsoid would do, but from the center of a symmetric mesh, a ray could run along an
+            # edge.
             return winds_around(mesh, plus(middle, lower(low, OFF_CENTER)))
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:
@@ -660,7 +665,7 @@ def inscribed_ellipsoids(table, size, far, origin, scale, centers, factors, memo
                 factors[kept, j, k] = grown_factors[chosen[i], j, k] / scale
         if prove(mesh, origin, scale, centers[kept], factors[kept]):
             kept += 1
-    for i in range(1, kept):  # Insertion sort suffices, because there are few ellipsoids.
+    for i in range(1, kept):  # Insertion sort is fast enough, because there are few ellipsoids.
         j = i
         while j > 0 and volume(factors[j]) > volume(factors[j - 1]):
             for k in range(3):

@@ -22,13 +22,13 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import lowest, maximum, minimum, movemask, next_lane
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
-# Limits on the searches for one interval and on the steps of the walk; beyond these limits, halving the interval is
-# faster. Short intervals get a multiple of both limits, because in each half of such an interval, as many triangles may
-# come near as in the whole interval.
+# Maximum numbers of searches and of steps of the walk for one interval; beyond these limits, it is faster to halve the
+# interval. For short intervals, both limits are multiplied by a factor, because as many triangles may come near in each
+# half of such an interval as in the whole interval.
 MOST_SEARCHES, MOST_STEPS = 256, 4096
 
-# An entry of the stack is the number of a box, shifted by ENTRY bits, plus the number of a triangle in a leaf. For the
-# whole box, ALL replaces the number of a triangle.
+# An entry of the stack is the number of a box, shifted left by ENTRY bits, plus the number of a triangle in the box's
+# leaf. If the entry represents the whole box, ALL replaces the number of the triangle.
 ENTRY, ALL = 4, 15
 
 
@@ -62,7 +62,7 @@ def triangles_apart(A, first, last, keep, stretch, travel, times, steps, gjk, me
     taken : int
         Number of steps and searches.
     """
-    # The callee counts references again unless it begins by borrowing the arrays.
+    # Borrow the arrays again: otherwise, this function would count references to the arrays of its arguments.
     A = placed(A, A.piece, A.poses, A.row)
     first, last = placed(first, first.piece, first.poses, first.row), placed(last, last.piece, last.poses, last.row)
     radii, far = radius(A) + radius(last), keep
@@ -347,7 +347,7 @@ def _surface_and_piece(A, first, last, keep, far, stretch, travel, times, gjk, m
             left[0] -= 1
             lane, bits = next_lane(bits)
             piece = walk.triangle_piece(A, leaf * LEAF + lane, A.table[A.piece, ROUNDING], walk.first_of(memory))
-            piece.layout[0, KIND] = SURFACE  # The piece must be a surface, because a polytope has no radius.
+            piece.layout[0, KIND] = SURFACE  # The piece must count as a surface, because a polytope has no radius.
             proven, n, _ = gjk_swept.separated(piece, first, last, walk.nonzero(n), keep, keep, stretch, gjk)
             if not proven or searches >= times * MOST_SEARCHES:
                 return False

@@ -8,8 +8,8 @@ from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.records import ENTRIES, Pieces
 from loewner._kernels.simd.memory import held, integers_at
 
-ROWS = 6 * WIDE  # A group takes ROWS numbers, see `trees.boxes`.
-LINE = CACHE_LINE // 8  # A cache line has LINE words.
+ROWS = 6 * WIDE  # Number of entries of `groups` for each group; see `trees.boxes`.
+LINE = CACHE_LINE // 8  # Number of words in a cache line.
 TABLE = -(-ENTRIES * len(Pieces._fields) // LINE) * LINE
 
 
@@ -107,8 +107,8 @@ def _fill(made, chosen):
             if len(made.part_start) > 0:
                 part = _copy_parts(pack, first + n, made, piece + n, part)
         for n in range(WIDE * groups):
-            # A negative child is a piece, and any other child is a group. An unused place has -1, or still leads to a
-            # piece.
+            # A negative child encodes a piece, and any other child is the number of a group. An unused place holds -1
+            # or encodes a piece. Because -1 also encodes piece 0, it is shifted if the body begins with piece 0.
             child = pack.children[WIDE * from_group + n]
             if child >= 0:
                 child += group - from_group

@@ -7,9 +7,9 @@ from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLEC
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
-# Allowance for the check of eight poses at a time, which rounds differently from the check of a single pose. The
-# certificate allows slightly more, so that every pose that fails also has a fault when it is checked alone. The search
-# for faults allows slightly less, so that it misses no fault.
+# Relative change of the tolerance in the check of eight poses at a time, which rounds differently from the check of a
+# single pose. The certificate uses a slightly larger tolerance, so that every pose that fails also has a fault when it
+# is checked alone. The search for faults uses a slightly smaller tolerance, so that it misses no fault.
 HAIR = 1e-9
 
 
@@ -68,8 +68,9 @@ def _rigid(tolerance, largest):
 is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
 _is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
-# Allowance for rounding the entries to single precision and for multiplying them. A pose that passes is therefore
-# rigid, except perhaps for its last row: this row may round to (0, 0, 0, 1), but no certificate reads it.
+# Amount by which the tolerance is reduced in single precision, to cover the errors of rounding the entries and of
+# multiplying them. A pose that passes is therefore rigid, except perhaps for its last row: this row may be (0, 0, 0, 1)
+# only after rounding, but no certificate reads it.
 SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 

@@ -20,7 +20,7 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-LINE = CACHE_LINE // 8  # A cache line has LINE float64.
+LINE = CACHE_LINE // 8  # Number of float64 values in a cache line.
 
 
 @inline

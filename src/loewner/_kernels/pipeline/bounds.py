@@ -46,14 +46,14 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-QUEUED = 32  # A queue holds up to QUEUED piece pairs, which are bounded together.
-WALKED = 16  # The trees yield up to WALKED piece pairs at a time. A small number keeps the distance bound up to date.
+QUEUED = 32  # Maximum number of piece pairs in a queue; these pairs are bounded together.
+WALKED = 16  # Maximum number of pairs that the trees yield at a time; a small number keeps the distance bound current.
 
-BOUND_STEPS = 12  # Number of Newton steps that maximise the contact function of a single pair; it must be even.
-POLISH_ROUNDS = 3  # Number of rounds that tighten a bound, by Newton's method for the direction of the near points.
+BOUND_STEPS = 12  # Maximum number of Newton steps that maximise a contact function; it must be even.
+POLISH_ROUNDS = 3  # Number of Newton rounds that tighten a bound by improving the direction between the near points.
 
-# Mask of the lanes that hold the inner ellipsoids of a single pair. The outer ellipsoids of the pair use the first four
-# lanes.
+# Mask of the lanes that hold the inner ellipsoids if a single pair is bounded. The first four lanes then hold its outer
+# ellipsoids.
 INNER_LANES = 0xF0
 
 
@@ -313,7 +313,7 @@ def _first_lower_bounds(count, work):
     for at in range(0, count, LANES):
         P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
         F, n = normal_at(P, Q, r, load(search.s, at))
-        # The ellipsoids are concentric: any direction gives a valid bound.
+        # If the ellipsoids are concentric, n is zero. It is then replaced, because any direction gives a valid bound.
         n = selected(dot(n, n) > 0.0, n, (1.0, 0.0, 0.0))
         squared = dot(n, n)
         hp, hq = _put_widths(search, at, P, Q, n, squared)
@@ -362,12 +362,13 @@ def _first_upper_bounds(count, work):
         sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
         F, n = normal_at(P, Q, r, s)
         level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
-        # If the bound is NaN, use the distance of the centers, because the centers are also points of the ellipsoids.
+        # If the bound is NaN or infinite, use the distance between the centers, because the centers are also points of
+        # the ellipsoids.
         centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
         best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
         best = select(level <= 1.0, -maximum(depth, 0.0), best)
         store(queue.above, at, best)
-        # The rounding errors of P n and Q n change the levels by these amounts, per length of n.
+        # The rounding errors of P n and Q n change the levels of points by at most these amounts times the length of n.
         store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
         store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
         _store_rows(search.n, at, n)
@@ -389,8 +390,8 @@ def _polish_upper_bounds(count, work):
         length = sqrt(squared)
         hp, Pn = outward_width(P, n, squared)
         hq, Qn = outward_width(Q, n, squared)
-        # Divide by slightly more than the width, so that rounding cannot push the points outside. The slack of at least
-        # 128 roundings also covers the roundings of the quotient.
+        # Divide by slightly more than the width, so that rounding cannot push the points out of the ellipsoids. The
+        # slack of at least 128 roundings also covers the rounding errors of the quotient.
         level_p = 1.0 / (hp + load(search.width_p, at) * length)
         level_q = 1.0 / (hq + load(search.width_q, at) * length)
         y = _between_points(load_three(search.r, at), level_p, Pn, level_q, Qn)
@@ -441,7 +442,7 @@ def write_bounds(count, operands, work):
         _load_many(count, operands, work)
     _place(count, False, work)
     _find_best(count, work)
-    # If no bound is positive, no round changes a bound: the ellipsoids overlap, or the bounds are depths.
+    # Here and below, skip the rounds if no bound is positive, because the rounds tighten only positive bounds.
     if _first_lower_bounds(count, work):
         for _ in range(POLISH_ROUNDS):
             _polish_lower_bounds(count, work)
@@ -467,7 +468,8 @@ def _decide(margin, count, operands, work, out):
         k = queue.pairs.pair[lane]
         if queue.below[lane] > margin or out[k] == COLLIDING:
             continue
-        # NaN should never arise; it counts as colliding, because it must not make a pair free.
+        # The estimate should never be NaN. If it is, the pair counts as colliding, because NaN must not make a pair
+        # free.
         if not queue.estimate[lane] > margin:
             out[k] = COLLIDING
 

@@ -10,15 +10,16 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Times that differ by less than NEAR times a brake's duration are merged, because rounding would distort the short
+# Largest difference, relative to a brake's duration, between times that are merged; rounding would distort the short
 # piece between them.
 NEAR = 1e-9
 
-# Largest number of Newton or bisection steps in the search for the time at which a distance is covered.
+# Maximum number of Newton or bisection steps in the search for the time at which a distance has been covered.
 STEPS = 64
 
-# Allowed error, relative to the values, in the deviation between a brake and a single course for the whole brake.
-WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md, "Gates", derives 63 roundings
+# Allowed rounding error, relative to the values, of the computed deviation between a brake and a single course that
+# represents the whole brake.
+WHOLE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # The section "Gates" of certified.md derives 63 roundings.
 
 
 @inline
@@ -40,7 +41,7 @@ def stop_phases(v, a, strongest, jerk):
     """
     if jerk == np.inf:
         return np.sign(v), strongest, 0.0, (abs(v) / strongest if v != 0.0 else 0.0), 0.0
-    rest = v + a * abs(a) / (2.0 * jerk)  # At the velocity `rest`, the acceleration only has to return to zero.
+    rest = v + a * abs(a) / (2.0 * jerk)  # Velocity after the acceleration has returned to zero as fast as possible.
     sign = np.sign(rest) if rest != 0.0 else np.sign(a)
     v, a = sign * v, sign * a
     strongest = max(strongest, -a)
@@ -90,8 +91,8 @@ def _distinct(times, count):
         times[m] = t
     kept, near = 1, NEAR * times[count - 1]
     for k in range(1, count):
-        # A joint that comes to rest immediately has its own piece, however short: on a longer piece, it would move
-        # farther.
+        # A joint that comes to rest almost immediately keeps its own piece, however short, because on a longer piece,
+        # it would move farther.
         if times[k] - times[kept - 1] > near or (kept == 1 and times[k] > 0.0):
             kept += 1
         if kept > 1:
@@ -248,7 +249,7 @@ def _stop_at_one_rate(rows, at, begin, first, strongest, jerk, beyond, times, st
                 break
             cut = _time_to(at[k + 1] - s, v, a, push, T)
             k += 1
-            if cut - gone <= near:  # The part on the previous motion takes no time.
+            if cut - gone <= near:  # Drop the part on the previous motion, which takes almost no time.
                 count -= 1
             if T - cut <= near:  # The next phase begins on the next motion.
                 break

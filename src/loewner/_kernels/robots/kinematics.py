@@ -46,7 +46,7 @@ from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
-POSE = 12  # A link takes POSE vectors in W.
+POSE = 12  # Number of vectors in W that hold a link's pose.
 
 
 @inline

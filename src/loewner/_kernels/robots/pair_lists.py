@@ -36,9 +36,9 @@ BALL, STANDING, STANDING_ROWS, STANDING_POSES = (
 )
 PATH_START, PATH_LINK, REACHES, EXACT_ROWS, SIZES, ORDER, GROUP_START, GROUP_PAIRS, GROUPS, CHAIN = MOTION_ROWS.values()
 
-# Cosines of eighths of a turn. At these angles, a joint's rotation is compared with an orthonormal rotation. The
-# difference is a sum of waves in the angle and in twice the angle, so its maximum is less than twice the largest of
-# eight samples.
+# Cosines of the multiples of an eighth of a turn. At these angles, a joint's rotation matrix R is tested: the entries
+# of RᵀR - 1 are sums of a constant and of waves in the angle and in twice the angle, so the norm of RᵀR - 1 is always
+# less than twice the largest of the eight samples.
 _DIAGONAL = math.sqrt(0.5)
 COSINES = 1.0, _DIAGONAL, 0.0, -_DIAGONAL, -1.0, -_DIAGONAL, 0.0, _DIAGONAL
 
@@ -168,7 +168,7 @@ def lay_out(pack, handle, lasting, block):
         for k in range(TABLE):
             integers_at(made, (TABLE,))[k] = table[k]
         problem, tables = problem_of(made), motion_tables_of(made + MOTIONS)
-        problem.standing_poses[:] = np.nan  # NaN differs from all poses.
+        problem.standing_poses[:] = np.nan  # NaN differs from every number, so all poses count as changed.
         _write_paths(tree, tables)
         _write_order(depths, problem, tables)
         _write_group_pairs(counts, pairs, tables)
@@ -227,7 +227,7 @@ def _write_group_pairs(counts, pairs, tables):
     start[0] = 0
     for body in range(moving):
         start[body + 1] = start[body] + (counts[body] + LANES - 1) // LANES
-        counts[body] = LANES * start[body]  # From here on, `counts` holds the place of the next pair.
+        counts[body] = LANES * start[body]  # From here on, this is the place of the body's next pair.
     for k in range(len(pairs)):
         body = pairs[k, 0]
         if pairs[k, 1] >= moving:

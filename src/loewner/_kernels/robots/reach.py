@@ -71,24 +71,24 @@ from loewner._kernels.simd.vectors import (
     store,
 )
 
-# A link has reached its target if its angle is off by at most REACHED [rad] and its position by at most REACHED (1 + d)
-# [m], where d is the sum of the target's absolute coordinates. Rounding errors are far smaller.
+# Largest error of a link that has reached its target: REACHED [rad] for its angle, and REACHED (1 + d) [m] for its
+# position, where d is the sum of the absolute values of the target's coordinates. Rounding errors are far smaller.
 REACHED = 1e-10
 
-# DAMPING is the squared damping, as a fraction of the squared error; LEAST_DAMPING is the least squared damping.
-# Fractions from 0.01 to 0.1 worked well for five arms.
+# The squared damping is DAMPING times the squared error, plus LEAST_DAMPING. Values of DAMPING from 0.01 to 0.1 worked
+# well for five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
-LONGEST = 1.0  # Largest turn of a joint in a step [rad].
+LONGEST = 1.0  # Largest turn of a joint in one step [rad].
 
-# After every PATIENCE steps, a seed is abandoned unless its squared error has fallen below GAIN times the value before
-# these steps.
+# PATIENCE is the number of steps between two checks of a seed. A seed is abandoned unless its squared error is less
+# than GAIN times its squared error at the previous check.
 PATIENCE, GAIN = 6, 0.7
 
-# Two solutions count as the same if they differ by less than SAME in every value [rad or m].
+# Two solutions count as the same if their difference in each value is less than this [rad or m].
 SAME = 1e-4
 
-FAULTS = 6  # A link's deviation from its target has FAULTS coordinates.
+FAULTS = 6  # Number of coordinates of a link's deviation from its target.
 TWO_PI = 2.0 * np.pi
 
 
@@ -142,7 +142,8 @@ def follow(chain, constants, base, q, twists):
                     _add_twist(twists, column + 1, nothing, (R[1], R[4], R[7]))
                     _add_twist(twists, column + 2, nothing, (R[2], R[5], R[8]))
                 at, column = at + 3 * LANES, column + 3
-            # A quaternion counts as three values here: turns about the axes of the frame that holds the quaternion.
+            # Here, a quaternion counts as three values: turns about the axes of the joint's frame before the quaternion
+            # is applied.
             if moves:
                 x, y, z = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
                 _add_twist(twists, column, x, cross(t, x))
@@ -172,7 +173,7 @@ def deviation_of(R, t, tolerance):
     height = maximum(1.0 + z, 1e-6)
     g = sqrt(2.0 / height)
     k = 0.5 * g / height
-    # If the axis points in the opposite direction, all ways to turn it back are equally short.
+    # If the link's z axis is opposite to the target's z axis, all turns that align the two axes are equally short.
     first, second = select(opposite, 2.0, -(y * g)), x * g
     cosine, sine = (R[0] + R[4]) / height, (R[3] - R[1]) / height
     half = maximum(0.5 + 0.5 * cosine, 1e-12)
@@ -390,8 +391,8 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
     R, t = follow(chain, constants, base, q, twists)
     store(squares, 0, sqrt(dot(t, t)))
     far = 1.0 + squares[0]
-    # The first seed is the start. The second seed is the answer for the previous pose, if that pose is in the same
-    # chain of poses and has an answer.
+    # The first seed is the start configuration. The second seed is the solution for the previous pose, if that pose
+    # belongs to the same chain of poses and has a solution.
     follows = pose % chained > 0 and counts[pose - 1] > 0
     if follows:
         for column in range(values):
@@ -430,7 +431,7 @@ def _one_pose(pose, chained, chain, constants, ranges, tolerance, targets, start
             store(squares, 3 * LANES, error)
             fresh = reached
             if step % PATIENCE == 0:
-                # Written in this form, the test also abandons a seed whose error is not finite.
+                # Because the comparison is negated, a seed whose error is not finite is abandoned, too.
                 fresh = live & (~movemask(error < GAIN * load(marks, 0)) | reached)
                 store(marks, 0, error)
             left = fresh

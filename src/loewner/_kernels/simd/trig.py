@@ -3,17 +3,17 @@
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import absolute, cosines, everywhere, floor, round_to_even, select, sines
 
-# QUARTER_TURN is π/2 as a sum of three doubles (Cody and Waite). The first two doubles have 33 significant bits, so
+# A quarter turn (π/2) as a sum of three doubles (Cody and Waite). The first two doubles have 33 significant bits, so
 # their products with an integer below 2^20 are exact. The error of the sum is below 2^-119.
 QUARTER_TURN = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-# TURNS_PER_RADIAN is 2/π, in quarter turns per radian. Rounding 2/π only moves the borders between quadrants.
+# Number of quarter turns per radian (2/π). Rounding this number only moves the borders between quadrants.
 TURNS_PER_RADIAN = 0.6366197723675814
 
-# Largest angle [rad] for which the number of quarter turns has at most 20 bits.
+# Largest angle [rad] for the formulas below. The number of quarter turns in this angle has at most 20 bits.
 LARGEST = 1e6
 
 
@@ -36,7 +36,7 @@ def sine_cosine(x):
     if not everywhere(absolute(x) <= LARGEST):
         return sines(x), cosines(x)
     k = round_to_even(x * TURNS_PER_RADIAN)
-    # Each step before the last sum is exact, or its error is tiny compared with r.
+    # Each step before the last sum is exact, or has an error that is tiny compared with r.
     most, second = x - k * QUARTER_TURN[0], k * QUARTER_TURN[1]
     r = most - second
     r = r + (((most - r) - second) - k * QUARTER_TURN[2])
@@ -59,7 +59,7 @@ def sine_cosine(x):
     rough = 1.0 - half
     c = rough + (((1.0 - rough) - half) + z * z * p)
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # The angle is in quadrant 1 or 3.
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # Whether the angle is in quadrant 1 or 3.
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)
@@ -71,11 +71,11 @@ def sine_of(x):
     return sine_cosine(x)[0]
 
 
-# SINGLE_QUARTER_TURN is π/2 as a sum of three floats. The first two floats have twelve bits, so their products with an
-# integer below 2^12 are exact. The error of the sum is below 2^-57.
+# A quarter turn (π/2) as a sum of three floats. The first two floats have twelve significant bits, so their products
+# with an integer below 2^12 are exact. The error of the sum is below 2^-57.
 SINGLE_QUARTER_TURN = float.fromhex("0x1.922p+0"), float.fromhex("-0x1.2aep-18"), float.fromhex("-0x1.de973ep-31")
 
-SINGLE_LARGEST = 1000.0  # Largest angle [rad]; it has fewer than 2^10 quarter turns.
+SINGLE_LARGEST = 1000.0  # Largest angle [rad] in single precision. It contains fewer than 2^10 quarter turns.
 
 
 @inline
@@ -105,7 +105,7 @@ def sine_cosine_single(x):
     p = p * z + 1.0 / 24.0
     c = (1.0 - 0.5 * z) + (z * z) * p
     quadrant = k - 4.0 * floor(0.25 * k)
-    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # The angle is in quadrant 1 or 3.
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # Whether the angle is in quadrant 1 or 3.
     sine, cosine = select(crossed, c, s), select(crossed, s, c)
     sine = select(quadrant > 1.5, -sine, sine)
     return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)

@@ -389,7 +389,7 @@ def share_of_roots(typingctx, x, y):
     return signature(x, x, y), generate
 
 
-# After _TO_EXPONENT is added to an integer, the lowest bits contain the integer plus the bias of exponents.
+# If this number is added to an integer, the lowest bits of the sum hold the integer plus the bias of exponents.
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 
 
@@ -458,7 +458,7 @@ def masked_store(typingctx, array, at, m, code):
 
 
 def _address(context, builder, array_type, array, offset):
-    if array_type.layout != "C":  # Strides are ignored, so another layout would give wrong entries.
+    if array_type.layout != "C":  # The address ignores strides, so another layout would lead to wrong entries.
         raise errors.LoweringError(f"expected an array in C order, found {array_type}")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [offset])
@@ -590,8 +590,8 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
 
 
-# LLVM's number is 3 for the first-level cache and 2 for the second-level cache. Only two dozen lines can be pending in
-# the first-level cache, but more can be pending in the second-level cache.
+# LLVM's codes for the first-level cache and for the second-level cache. Only two dozen prefetched lines can be pending
+# in the first-level cache, but more can be pending in the second-level cache.
 _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 
@@ -619,8 +619,8 @@ def _prefetching_line(level):
     return prefetch
 
 
-# Prefetch into the first-level cache for use soon, or into the second-level cache for use about a thousand instructions
-# later.
+# `prefetch` loads data that is needed soon into the first-level cache. `prefetch_far` loads data that is needed about a
+# thousand instructions later into the second-level cache.
 prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 

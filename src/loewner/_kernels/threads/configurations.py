@@ -80,20 +80,21 @@ from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS, append
 from loewner._kernels.threads.searches import core_at, relative, search
 from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
-# Extra column of a placed body, next to its bounds: the largest error of any of its points [m].
+# Number of the extra column next to a placed body's bounds. This column holds the largest position error of any point
+# of the body [m].
 ASTRAY = 7
 
-# Error of the pose of a link in the frame of another link, in roundings times the lengths.
+# Allowed error of a link's pose in the frame of another link, in roundings times the lengths.
 COMPOSED = 24.0  # certified.md B63
 
-# JOINT_TURN is the error, in roundings, that a joint adds to a rotation (spectral norm). VALUE_TURN is the error that
-# each radian of the joint's value adds. JOINT_SHIFT is the error that a joint adds to a translation, in roundings times
-# the lengths from which the translation is computed.
+# Allowed errors. JOINT_TURN is the error that each joint adds to a rotation, in roundings (spectral norm), and
+# VALUE_TURN is the additional error for each radian of the joint's value. JOINT_SHIFT is the error that each joint adds
+# to a translation, in roundings times the lengths from which the translation is computed.
 JOINT_TURN = 40.0  # certified.md B45
 VALUE_TURN = 8.0  # certified.md B46
 JOINT_SHIFT = 20.0  # certified.md B47
 
-# The state of a configuration is a number that never decreases.
+# States of a configuration while its pairs are checked. The state is a number that never decreases.
 SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
 
 
@@ -184,7 +185,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
                 R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
-                # If an angle is too large or not a number, its error is unknown, so it counts as infinite.
+                # If an angle is too large or NaN, its error is unknown, and counts as infinite.
                 turn_off = turn_off + select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
                 t = along(t, value, _three(c, ACROSS))
@@ -194,7 +195,7 @@ def place_links(thread, S, Q, spans, dof, links, joints, constants, placed):
             A = _rotation_at(placed, above * LINK_NUMBERS, S, thread)
             b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
             off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
-            # LEAST keeps an infinite error infinite even if the length is 0.
+            # Because of LEAST, an infinite error remains infinite even if the lengths are 0.
             shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * (lengths + LEAST)
             lengths = lengths + one_norm(b)
             turn_off = turn_off + off
@@ -362,7 +363,7 @@ def _identity():
 @inline
 def list_piece_pair(code, i, j, searches, capacity):
     """Append two pieces of a listed pair of bodies to the searches; return whether there was room."""
-    # Stop counting when the list is full, because an int32 may be too small for the number of piece pairs.
+    # Stop counting when the list is full, because the number of piece pairs may be too large for an int32.
     if integer_at(searches, 0) >= capacity:
         return False
     at = add_to(searches, 0, 1)
@@ -407,7 +408,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    more = astray * (UP / OFF)  # Adding `more` to the lengths enlarges the error allowed for positions by `astray`.
+    more = astray * (UP / OFF)  # Adding `more` to the lengths raises the error allowed for positions by `astray`.
     i, last_a = pieces_of(bodies, one)
     first_b, last_b = pieces_of(bodies, other)
     pair_state = SO_FAR_FREE
@@ -418,7 +419,7 @@ def certify_survivor(
         j = first_b
         while j < last_b and pair_state != HIT:
             tier = OPEN
-            if not with_margin:  # With a margin, the near points need the best s, in double precision.
+            if not with_margin:  # With a margin, the near points must be computed from the best s, in double precision.
                 tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
                 pair_state = HIT

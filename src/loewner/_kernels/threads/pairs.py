@@ -23,9 +23,9 @@ from loewner._kernels.simd.scalars import (
     put_number,
 )
 
-ROW = 4 * HOT  # The row of a piece takes ROW bytes.
+ROW = 4 * HOT  # Number of bytes in the row of a piece.
 
-# A thread takes at most MOST_PIECE_PAIRS piece pairs. Bodies with more pieces have trees, which the CPU searches.
+# Maximum number of piece pairs that a thread checks. Bodies with more pieces have trees, which the CPU searches.
 MOST_PIECE_PAIRS = 1024
 
 
@@ -62,7 +62,8 @@ def _row_of(k, plan, axes, operand):
     axis = axes - 1
     while axis > 0:
         length = integer_at(plan, axis)
-        # Divide in 32 bits: numbers of pairs fit into 31 bits, and 64-bit divisions take a GPU four times as long.
+        # Use 32-bit divisions: the numbers of pairs fit into 31 bits, and a 64-bit division takes a GPU four times as
+        # long.
         above = np.int64(np.uint32(k) // np.uint32(length))
         row += (k - above * length) * integer_at(plan, operand * axes + axis)
         k = above

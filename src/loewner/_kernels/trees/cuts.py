@@ -19,38 +19,43 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, highest, load, lowest, maximum, minimum, movemask, store
 from loewner._kernels.trees.triangle_tree import principal, put_range
 
-# THICKNESS is the assumed thickness of a flat part, relative to the whole. FLAT_BOX is the thickness of a flat box,
-# relative to its longest side, so that the shorter of two boxes with equal areas is chosen. FLAT_OVAL is the thickness
-# of a flat ellipsoid relative to its longest side, and DIGITS is its thickness relative to the coordinates.
+# THICKNESS is the assumed thickness of a flat part, relative to the longest side of a box around all triangles.
+# FLAT_BOX is the thickness that is added to each side of a box, relative to its longest side, so that the shorter of
+# two flat boxes with equal areas is chosen. FLAT_OVAL and DIGITS bound the half widths of the box around an ellipsoid
+# from below, relative to the longest half width and to the largest coordinate.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# Each side of a cut gets at least the fraction 1 / LEAST_SHARE of the items. With 16 instead, each cut would often
-# leave three quarters of a part on one side, without proving more.
+# Inverse of the least fraction of the sampled items on either side of a cut between bins. If the cut is then refined
+# among the items of two bins, half of this fraction suffices. With 16 instead of 4, each cut would often leave three
+# quarters of a part on one side, and no more would be proven.
 LEAST_SHARE = 4
 
-# At most MOST_ASKED triangles suggest axes. Points of a hull are sought in LOOKS directions, and a box is tried along
-# the MOST_EDGES longest edges of the hull.
+# MOST_ASKED is the maximum number of triangles from which the axes of a box are computed. LOOKS is the number of
+# directions in which points of a hull are sought. MOST_EDGES is the maximum number of edges of this hull, the longest
+# ones, along which a box is tried.
 MOST_ASKED, LOOKS, MOST_EDGES = 128, 64, 8
 
-# Each axis has BINS bins. Up to FEW items are sorted without bins, and at most twice MANY items suggest a cut.
+# BINS is the number of bins along each axis. Up to FEW items are sorted without bins. The place of a cut is determined
+# from at most twice MANY items.
 BINS, FEW, MANY = 128, 32, 512
 
-# Bound on the rounding error of rotating, and rotating back, by a matrix that is orthonormal up to a few roundings.
+# Bound on the rounding error of a point that is rotated, and rotated back, by a matrix that is orthonormal up to a few
+# roundings; relative to the largest coordinate.
 TURN_ROUNDINGS = 128 * 2.0**-53
 
 # ROUNDS is the number of rounds in the search for a small ellipsoid, and LEAST_AXIS is the least semi-axis of this
-# ellipsoid, relative to the box. WIDER allows for rounding, because coordinates relative to the box are off by at most
-# 1e-7.
+# ellipsoid, relative to the box. WIDER is a factor on the semi-axes that allows for rounding: coordinates relative to
+# the box are off by at most 1e-7.
 ROUNDS, LEAST_AXIS, WIDER = 24, 1e-2, 1.0 + 1e-3
 
-# Least factor by which the ellipsoid's shape is scaled, for parts whose points all coincide.
+# Least factor by which the shape matrix of an ellipsoid is scaled. It is needed for parts whose points all coincide.
 LEAST_OVAL = 1e-3
 
-# The extreme points in these directions determine the ellipsoid.
+# Directions whose extreme points determine the ellipsoid.
 _WAYS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)], float)
 
 ROW = 8
-NUMBERS = 16  # A part has NUMBERS numbers: turn, lower corner, upper corner, empty space.
+NUMBERS = 16  # Number of entries for a part: turn, lower and upper corners of the box, and empty space.
 
 
 @njit()
@@ -225,8 +230,8 @@ def _measure(corners, n, part, thick, grown, numbers):
         best = _along_faces(some, count, middle, least, best)
         for k in range(first, last):
             v = _normal(corners, n, k)
-            # Count triangles as thin slabs: a flat box then has a volume, too, and triangles that are far apart do not
-            # fill it.
+            # Count triangles as thin slabs, so that even a flat box has a volume, and triangles that are far apart do
+            # not fill their box.
             filled += thick * 0.5 * np.sqrt(dot(v, v))
     low, high = _box(corners, n, first, last, best)
     for c in range(9):
@@ -350,8 +355,8 @@ def _place_of_cut(corners, n, begin, items, numbers, grown, rows, listed, bins, 
     if sample_count > FEW:
         axis, slot, start, scale = _boundary(rows, sample_count, least, grown, bins, held)
     if axis >= 0:
-        # List the items in the two bins at the boundary, and find boxes around the items in all bins before and after
-        # these two.
+        # List the items in the two bins next to the boundary, and find boxes around the items in all bins before and
+        # after these two bins.
         count, before, ahead, behind = 0, 0, nothing, nothing
         left, right = -np.inf, np.inf
         for item in range(sample_count):
@@ -409,7 +414,7 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
     ahead, behind = lists[0], lists[1]
     kept, count, one, start, n = np.uint64(0), np.uint64(0), np.uint64(1), np.uint64(first), np.uint64(n)
     if len(corners) == 3 * n:
-        for k in range(start, np.uint64(last)):  # Write to both lists, because a branch could not be predicted.
+        for k in range(start, np.uint64(last)):  # Write to both lists, because a branch would be unpredictable.
             ahead[kept] = behind[count] = np.int64(k)
             is_first = np.uint64(dot(along, (corners[k], corners[k + n], corners[k + n + n])) < 0.5 * key)
             kept, count = kept + is_first, count + one - is_first
@@ -438,8 +443,8 @@ def _divided(corners, n, order, begin, items, along, key, rest, lists):
         order[start + k] = order[np.uint64(ahead[k])]
     for k in range(count):
         order[start + kept + k] = begin[k]
-    # If items are equal, or their centers differ only by rounding, all may be on one side. In this case, all cuts are
-    # equally good.
+    # If items are equal, or their centers differ only by rounding, all items may end up on one side. In this case, all
+    # cuts are equally good.
     return first + np.int64(kept) if kept > 0 and count > 0 else middle
 
 

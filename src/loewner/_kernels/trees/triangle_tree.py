@@ -32,38 +32,39 @@ from loewner._kernels.linalg3 import minus, negated, plus
 from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maximum, minimum, store
 
 WIDE_BITS, LEAF_BITS = NODE_BITS, 3
-WIDE = 1 << WIDE_BITS  # A node has WIDE boxes.
-ROWS = 6 * WIDE  # A node takes ROWS numbers.
-LEAF = 1 << LEAF_BITS  # A leaf has up to LEAF triangles.
-BLOCK = 9 * LEAF  # A leaf takes BLOCK numbers.
-DIAGONALS = 20 * WIDE  # The diagonals of a node take DIAGONALS numbers.
-CORNERS = 12  # Row of x + y + z among the diagonals.
-OVAL = 9 * WIDE  # The ellipsoids take OVAL numbers.
+WIDE = 1 << WIDE_BITS  # Number of boxes in a node.
+ROWS = 6 * WIDE  # Number of entries of `boxes` for each node.
+LEAF = 1 << LEAF_BITS  # Maximum number of triangles in a leaf.
+BLOCK = 9 * LEAF  # Number of entries of `blocks` for each leaf.
+DIAGONALS = 20 * WIDE  # Number of entries of `diagonals` for each node.
+CORNERS = 12  # Number of the row for x + y + z among the diagonals.
+OVAL = 9 * WIDE  # Number of entries of `ellipsoids`.
 
-# Numbers of a box while the tree is built: its lower corner, its negated upper corner, and two zeros.
+# Number of entries for a box while the tree is built: its lower corner, its negated upper corner, and two zeros.
 BOX = 8
 
-BINS, FEW_BINS, MANY = 16, 8, 256  # Ranges of at most MANY triangles use FEW_BINS bins.
-DEEP = 40  # After DEEP splits, ranges are halved, so no tree is deeper than LEVELS.
-LEVELS = DEEP + 28  # LEVELS suffice to halve 2^31 triangles down to leaves.
+BINS, FEW_BINS, MANY = 16, 8, 256  # Numbers of bins: BINS for ranges of more than MANY triangles, otherwise FEW_BINS.
+DEEP = 40  # Number of splits after which ranges are only halved, so that no tree is deeper than LEVELS.
+LEVELS = DEEP + 28  # Maximum depth of a tree. The last 28 levels are enough to halve 2^31 triangles down to leaves.
 
-MOST_BELOW = 80  # If a node has at most MOST_BELOW triangles below it, all or nearly all of its boxes are leaves.
+MOST_BELOW = 80  # Maximum number of triangles below a node for which all or nearly all boxes of the node are leaves.
 
-# FLATTEST is the least relative thickness of an ellipsoid. WIDER is the factor by which an ellipsoid is wider than the
-# enclosed corners require, because rounding to single precision can turn it by about 1e-7 rad.
+# FLATTEST is the least thickness of an ellipsoid, relative to its length. WIDER is the factor by which an ellipsoid is
+# larger than the enclosed corners require, because rounding to single precision can turn the ellipsoid by about 1e-7
+# rad.
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# If a semi-axis of an ellipsoid is longer than MOST_WIDE times the radius of the ball around its corners, the ball
-# replaces the ellipsoid.
+# Largest allowed semi-axis of an ellipsoid, relative to the radius of the ball around the same corners. If a semi-axis
+# is longer, the ball replaces the ellipsoid.
 MOST_WIDE = 2.0
 
-# Jacobi's method, which converges quadratically, takes SWEEPS sweeps, and ignores entries up to SMALL, because axes
-# need not be exact.
+# SWEEPS is the number of sweeps of Jacobi's method, which converges quadratically. SMALL is the size, relative to the
+# diagonal, up to which other entries are ignored, because the axes need not be exact.
 SWEEPS, SMALL = 3, 1e-13
 
-UP = 1.0 + 2.0**-22  # The factor UP exceeds the rounding to single precision.
-_LEAST = 1e-37  # The summand _LEAST exceeds the rounding of numbers near zero.
+UP = 1.0 + 2.0**-22  # Factor that is large enough to cover the error of rounding to single precision.
+_LEAST = 1e-37  # Summand that is large enough to cover the error of rounding numbers near zero.
 
 
 @inline
@@ -119,7 +120,7 @@ def triangle_tree(vertices, triangles):
             box[BOX * t + 3 + axis] = -max(x, max(y, z))
         box[BOX * t + 6] = box[BOX * t + 7] = 0.0
     bins = np.empty(2 * 3 * BINS * BOX), np.empty(3 * BINS, np.int64)
-    # Each row holds the first triangle, the end, and the number of splits above.
+    # Each row describes a range: the first triangle, the end, and the number of splits above.
     ranges = np.empty((WIDE, 3), np.int64)
     hull = np.empty(WIDE * BOX)
     room = 4 + count // 24
@@ -127,8 +128,7 @@ def triangle_tree(vertices, triangles):
     ellipsoids = np.zeros(OVAL)
     leaf_from = np.empty(4 + count // 4, np.int64)
     nodes, leaves = 1, 0
-    # Each row holds the first triangle, the end, the number of splits above, and the place to which the child is
-    # written.
+    # Each row describes a range as in `ranges`, followed by the index of the range's entry in `children`.
     waiting = np.empty((LEVELS * WIDE, 4), np.int64)
     _clear(boxes, 0)
     _hull(box, 0, count, hull, 0)
@@ -291,7 +291,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
         for corner in range(3):
             v = triangles[order[n], corner]
             x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
-    # Use the center as stored, so that its rounding has no effect.
+    # Use the center as it is stored, so that its rounding has no effect.
     x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
     xx = xy = xz = yy = yz = zz = radius = 0.0
     for n in range(first, last):
@@ -302,8 +302,8 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
     U, spread = principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
-    # Half widths along the axes need not be accurate: a direction in which the corners have no width still gets the
-    # least thickness.
+    # The half widths along the axes need not be accurate, because they are scaled below. Even a direction in which the
+    # corners have no width gets the least thickness.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
     a, b, c = (
         np.sqrt(max(spread[0], 0.0)) + least, np.sqrt(max(spread[1], 0.0)) + least, np.sqrt(max(spread[2], 0.0)) + least
@@ -320,7 +320,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
     scale = np.sqrt(farthest) * WIDER
     a, b, c = a * scale, b * scale, c * scale
     if not max(a, max(b, c)) <= MOST_WIDE * radius:
-        # A few corners are far from all other corners.
+        # This happens if a few corners are far from all other corners.
         a = b = c = radius * WIDER
     ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
     row = 3
@@ -432,7 +432,7 @@ def _split(box, order, first, last, halve, bins):
     for axis in range(3):
         scale[axis] = used / (high[axis] - low[axis])
         if not scale[axis] < np.inf:
-            scale[axis] = 0.0  # If the boxes have no width, or the quotient overflows, all go to one bin.
+            scale[axis] = 0.0  # If the middles coincide, or the quotient overflows, all boxes go to one bin.
     axis, best = _best_split(box, first, last, low, scale, used, bins)
     if axis < 0:  # All boxes are in one bin, or an overflow occurred.
         return _split_by_rank(box, order, first, last, longest, True)
@@ -463,7 +463,7 @@ def _best_split(box, first, last, low, scale, used, bins):
             store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
             held[row] += 1
     best_axis, best_bin, least = -1, 0, np.inf
-    above = 3 * BINS  # From this row on, the rows hold the contents of bins k and above.
+    above = 3 * BINS  # Row above + k holds the box around the contents of bins k and higher.
     for axis in range(3):
         around = nothing
         for k in range(used - 1, 0, -1):
@@ -490,7 +490,7 @@ def _bin(box, n, axis, low, scale, used):
 @njit()
 def _split_by_rank(box, order, first, last, axis, halve):
     """Split boxes by their middles along an axis: into equal parts, or into two leaves at least cost."""
-    # Shell's sort needs the least code, and ranges to halve are either short or pathological.
+    # Shell's sort needs the least code; the ranges that are sorted here are either short or pathological.
     gap = 1
     while gap < (last - first) // 3:
         gap = 3 * gap + 1
