@@ -32,8 +32,8 @@ FACE_ROUNDING = 64.0
 # of a body, because such a pose is rigid only to within a tolerance.
 CHAIN_STRETCH = 1.0 + 8.0 * ROTATION_TOLERANCE
 
-# Fraction by which rates and bounds are enlarged, to allow for a few dozen roundings, and for poses that are accepted
-# as rigid although they stretch paths slightly.
+# Relative allowance in rates and bounds for a few dozen roundings, and for poses that are accepted as rigid although
+# they stretch paths slightly.
 STRETCH = 1e-5  # certified.md B29
 
 # Limit on the square of a vector's length. Smaller squares have lost digits, so dividing the vector by the square root

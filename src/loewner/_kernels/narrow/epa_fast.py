@@ -31,7 +31,7 @@ from loewner._kernels.tolerances import POSITION_ROUNDINGS
 # time than it saves.
 MAX_CORNERS = 1024
 MAX_FACES = 64  # Maximum number of faces: a mask has one bit per face. Hulls of 20 points need 20 to 30 faces.
-MAX_POINTS = MAX_FACES // 2 + 2  # By Euler's formula, the number of points of a surface with MAX_FACES faces.
+MAX_POINTS = MAX_FACES // 2 + 2  # Number of points of a closed surface of MAX_FACES triangles, by Euler's formula.
 
 # Offsets into the workspace of floats. First come the corners of A and then the corners of B (x, y and z, each in a row
 # of MAX_CORNERS numbers), then the normals and offsets of the faces (in rows of MAX_FACES numbers), and then the points

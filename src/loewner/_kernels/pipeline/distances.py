@@ -349,7 +349,8 @@ def _of_cores(A, B, lane, queue, searches):
     ends = begin(A, B, shift, searches.vertices)
     status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
     ra, rb = radius(A), radius(B)
-    # A distance above the ellipsoids' upper bound is a rounding error, for example if the inner ellipsoids overlap.
+    # A distance above the ellipsoids' upper bound is wrong because of rounding, for example a positive distance
+    # although the inner ellipsoids overlap.
     if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
         status = UNSETTLED
     return status, Measured(above - ra - rb, above - below, SETTLED, ra, rb)

@@ -419,7 +419,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         # Even at full speed, the gap does not close before t + gap / speed.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        # Even at full speed, the bodies move by no more than the tolerance between t and the known contact.
+        # Even at full speed, the bodies approach each other by no more than the tolerance between t and the known
+        # contact.
         if horizon < 1.0 and (horizon - t) * speed <= tolerance:
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
