@@ -9,7 +9,7 @@
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
-/* Arguments that pass the scene of a workspace, and the tables for motions, to kernels. */
+/* Arguments of kernels that pass the scene of a workspace (SCENE) or the tables for motions (MOTIONS). */
 #define SCENE(workspace)                                                                                               \
     .pack = (workspace)->pack, .problem_handle = (int64_t)&(workspace)->tables, .memory = (workspace)->memory
 #define MOTIONS(half)                                                                                                  \
@@ -25,7 +25,7 @@ loewner_status expect_pointer(const void *pointer, size_t n, const char *name)
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
-    /* The limit `most` is more than any address space holds. */
+    /* An array of `most` items would be larger than any address space. */
     const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles;
     REQUIRE(n <= most, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
@@ -54,7 +54,7 @@ loewner_status check_configurations(const loewner_checker *checker, const double
     TRY(check_count(n, dof, name));
     REQUIRE(configurations != NULL || n == 0, "%s: expected configurations, found NULL", name);
     for (size_t k = 0; k < n * dof; k++)
-        /* The comparison is false for NaN. */
+        /* The comparison is false for NaN, so NaN is refused, too. */
         REQUIRE(fabs(configurations[k]) <= LARGEST_VALUE,
                 "%s[%zu]: expected finite numbers within %g, found %g for %.100s", name, k / dof, LARGEST_VALUE,
                 configurations[k], loewner_checker_value_name(checker, (int32_t)(k % dof)));
@@ -80,7 +80,7 @@ static loewner_status place_links(const Tree *tree, const double *configurations
                 .Q = {configurations, n, dof}, .stop = n, .out = {poses, n, links, 4, 4});
 }
 
-/* Compute exact verdicts for all pairs, with all links at the poses in the workspace. */
+/* Compute exact verdicts for all pairs, with the links at the poses that the workspace holds. */
 static loewner_status settle_pairs(loewner_workspace *workspace, int8_t *verdicts)
 {
     const State *state = &workspace->checker->state;
@@ -246,7 +246,7 @@ loewner_status loewner_checker_link_poses(const loewner_checker *checker, const 
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
-/* Return the body of a piece. */
+/* Return the index of the body to which a piece belongs. */
 static int64_t owner(const struct pieces *pieces, int64_t piece)
 {
     const int64_t *start = pieces->piece_start.data;
@@ -320,7 +320,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Write the course of the straight motion from a to b, shape (2, dof). */
+/* Write the control points of the straight motion from a to b to `course`, shape (2, dof). */
 static void straight(const File *file, const double *a, const double *b, double *course)
 {
     size_t size = sizeof(double) * (size_t)file->dof;
@@ -352,7 +352,7 @@ static void normalize(double *quaternion)
         quaternion[k] /= sqrt(norm);
 }
 
-/* Write an orientation on the shorter arc from p to q, as `Robot.between` does. */
+/* Write the orientation at the fraction t of the shorter arc from p to q, as `Robot.between` does. */
 static void slerp(const double *p, const double *q, double t, double *made)
 {
     double cosine = fmin(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3], 1.0);
@@ -367,7 +367,8 @@ static void slerp(const double *p, const double *q, double t, double *made)
     normalize(made);
 }
 
-/* Use only products, in the order of `_matrices.power`, because the last bit of `pow` depends on the C library. */
+/* Compute a power by multiplications only, in the same order as `_matrices.power`, because the last bit of the result
+   of `pow` depends on the C library. */
 static double power(double x, int32_t exponent)
 {
     double raised = 1;
@@ -406,7 +407,7 @@ loewner_status certify(loewner_workspace *workspace, const double *courses, int6
     memset(verdicts, as_given, (size_t)count);
     for (int64_t k = 0; k < count; k++)
         workspace->work[WORK * k + WORK - 1] = steps;
-    /* `clear` is omitted, because pairs need not keep more distance than their margins. */
+    /* The argument `clear` is omitted, because pairs need not keep a larger distance than their margins. */
     return CALL(certify_motions, NULL, .stop = count, .courses = {courses, count, points, dof},
                 .off = {workspace->off, width > 0 ? count : 0, width}, .tolerance = tolerance, MOTIONS(half),
                 .out = {verdicts, count}, .t_out = {workspace->fractions, count},
@@ -414,8 +415,8 @@ loewner_status certify(loewner_workspace *workspace, const double *courses, int6
                 .memory = workspace->memory);
 }
 
-/* Bound the deviation of a body's points at a time that may be off by `late` [s]. The bound leaves more than enough
-   room for rounding (B69). */
+/* Bound how far the points of a body may be from the places that the checker assumes, at a time t that may be off by
+   `late` [s]. The bound includes more than enough room for rounding (B69). */
 static double off_at(const loewner_checker *checker, int64_t place, double t, double late)
 {
     const struct pieces *pieces = &checker->state.halves[WHOLE].pieces;
@@ -488,7 +489,7 @@ loewner_status prove(loewner_workspace *workspace, size_t first, size_t n, int32
             pairs[k] = -1;
         } else if (verdicts[k] == CODE_BY_CARE ||
                    (verdicts[k] == LOEWNER_COLLIDING && (degree > 1 || file->quaternion_count > 0))) {
-            /* A motion is COLLIDING only if the configuration that a user computes from the fraction collides. */
+            /* Report COLLIDING only if the configuration that users compute from the fraction also collides. */
             evaluate(file, course, degree, fractions[k], q);
             TRY(collide(workspace, CODE_EXACT, q, 1, &found));
             verdicts[k] = found == LOEWNER_COLLIDING ? LOEWNER_COLLIDING : LOEWNER_AMBIGUOUS;
@@ -531,7 +532,7 @@ static loewner_status take_options(const loewner_checker *checker, const loewner
     return LOEWNER_OK;
 }
 
-/* Check the times of motions, which are required for bodies with a speed or a turn. */
+/* Check the times of motions. Times are required if the bounds of a body include a positive speed or turn. */
 static loewner_status check_times(const loewner_checker *checker, const loewner_proof_options *options, size_t n)
 {
     const State *state = &checker->state;
@@ -556,8 +557,8 @@ size_t write_courses(loewner_workspace *workspace, const double *starts, const d
     return count;
 }
 
-/* Prove curves, or motions between configurations, one block after another. For motions, `points` holds their starts;
-   for curves, `ends` is NULL. */
+/* Compute proven verdicts for curves, or for motions between configurations, one block after another. For motions,
+   `points` holds the start configurations; for curves, it holds the control points, and `ends` is NULL. */
 static loewner_status prove_all(loewner_workspace *workspace, const double *points, const double *ends, size_t n,
                                 int32_t degree, const loewner_proof_options *options, int8_t *verdicts,
                                 double *fractions, int32_t (*bodies)[2])

@@ -7,8 +7,8 @@ import zlib
 from functools import cache
 from pathlib import Path
 
-# In a wheel, the kernels' sources are in this archive. The modules in LOOSE are outside it, and Python imports them
-# even with a native library.
+# Archive that contains the sources of the kernels in a wheel. The modules listed in LOOSE are not in the archive,
+# because Python imports them even if there is a native library.
 ARCHIVE = "sources.zip"
 LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
 
@@ -29,7 +29,7 @@ def source_hash() -> str:
 
     Code made from other sources is never used. If the sources are unknown, no code is kept.
     """
-    import hashlib  # Importing hashlib loads OpenSSL, which would slow down importing the package.
+    import hashlib  # Imported only here, because hashlib loads OpenSSL, which would slow down `import loewner`.
 
     try:
         contents = sources()

@@ -23,11 +23,11 @@ from loewner._kernels.simd.vectors import (
     sqrt,
 )
 
-# Largest numbers of steps with polynomials (STEPS) and with slopes (SLOPES). Four steps with polynomials and one with
-# slopes usually suffice; for needles, each step with slopes halves the interval.
+# Maximum numbers of steps with polynomials (STEPS) and with the slope F′ (SLOPES). Four steps with polynomials and one
+# with slopes are usually enough; for needles, each step with slopes halves the interval of s.
 STEPS, SLOPES = 12, 60
 
-# Newton's method ends once it moves s by less than SETTLED (with slopes, SETTLED_SLOPE) times s (1 - s).
+# Newton's method ends when a step moves s by at most SETTLED (with slopes: SETTLED_SLOPE) times s (1 - s).
 SETTLED, SETTLED_SLOPE = 1e-5, 1e-6
 
 
@@ -74,8 +74,8 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # For thin ellipsoids, the polynomials' coefficients have lost digits; for needles, no correct digit is left. The
-    # search therefore continues with slopes.
+    # For thin ellipsoids, the coefficients of the polynomials have lost digits; for needles, they have no correct digit
+    # at all. The search therefore continues with slopes.
     low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)

@@ -66,7 +66,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
                         face_of[there] = faces
                         stack[top] = there
                         top += 1
-        # Return to the caller's coordinates: the normal is frame⁻ᵀ n, scaled to unit length.
+        # Transform the normal back to the caller's coordinates, where it is frame⁻ᵀ n, scaled to unit length.
         norm2 = 0.0
         for j in range(n - 1, -1, -1):
             value = equations[first, j]
@@ -164,7 +164,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
     """Orient the triangles of a closed surface consistently and outward; return 0, or the code of a fault."""
     count = len(simplices)
     turned = np.zeros(count, np.bool_)
-    # Start at the triangle with the largest area, whose orientation is certain.
+    # Start at the triangle with the largest area, because the orientation of this triangle is certain.
     start = 0
     largest = 0.0
     swap = False

@@ -189,7 +189,7 @@ def _iterate(place, A, tol, x, low, lam, careful):
         if iteration == 0:
             _begin(place, shrink)
             shrink = 1.0
-        # Certify shrink * E in the coordinates in which it is the unit ball (λ may have any scale).
+        # Certify shrink * E in coordinates in which this ellipsoid is the unit ball (λ may have any scale).
         for i in range(m):
             lam[i] = y[i] * h[i]
         gap = balanced_gap(work.T, work.d, lam, m, n) - n * logarithm(shrink)
@@ -349,7 +349,8 @@ def _direction(place, A, mu, worst):
     m, n, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
     A, V, P, PA, lhs, h, d = borrowed(A), work.V, work.P, work.PA, work.lhs, work.h, work.d
     y, z, dx, dy, dz, rhs, q = work.y, work.z, work.dx, work.dy, work.dz, work.rhs, work.q
-    # The residuals are R1 = -Aᵀ(y h), R2 = d - h - z, R3 = mu - y z (- dy dz), and R23 = R2 - R3/y.
+    # The residuals are R1 = -Aᵀ(y h), R2 = d - h - z, R3 = mu - y z - dy dz (with the previous dy and dz), and R23 = R2
+    # - R3/y.
     for j in range(n):
         dx[j] = 0.0
     for i in range(m):

@@ -27,14 +27,15 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
-# Limit on the corners of a polytope. With more corners, transforming all of them to the world frame takes more time
-# than it saves.
+# Maximum number of corners of a polytope. With more corners, transforming all of them to the world frame takes more
+# time than it saves.
 MAX_CORNERS = 1024
-MAX_FACES = 64  # Each face takes one bit of a mask. Hulls of 20 points need 20 to 30 faces.
-MAX_POINTS = MAX_FACES // 2 + 2  # By Euler's formula, a closed surface of MAX_FACES triangles has MAX_POINTS points.
+MAX_FACES = 64  # Maximum number of faces: a mask has one bit per face. Hulls of 20 points need 20 to 30 faces.
+MAX_POINTS = MAX_FACES // 2 + 2  # Number of points of a closed surface of MAX_FACES triangles, by Euler's formula.
 
-# The workspace of floats holds the corners of A and of B (x, y and z in rows of MAX_CORNERS). The normals and offsets
-# of the faces (rows of MAX_FACES) and the points of A - B (rows of POINT_ROW) follow.
+# Offsets into the workspace of floats. First come the corners of A and then the corners of B (x, y and z, each in a row
+# of MAX_CORNERS numbers), then the normals and offsets of the faces (in rows of MAX_FACES numbers), and then the points
+# of A - B (each in a row of _POINT_ROW numbers).
 _A = 0
 _B = _A + 3 * MAX_CORNERS
 _NX = _B + 3 * MAX_CORNERS
@@ -46,9 +47,10 @@ _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
 FLOATS = _LANE + 8
 
-# For each half-edge (number 4 face + side), the workspace of integers holds its twin and its first point. For each
-# point, it holds the corners of A and B, and the new face whose rim edge starts there. For the rim, it holds the
-# half-edges beyond the rim and their first points.
+# Offsets into the workspace of integers. Side s of face f is the half-edge with the number 4 f + s. For each half-edge,
+# the workspace holds the twin and the first point. For each point, it holds the corners of A and B, and the new face
+# whose rim edge starts at the point. For each edge of the rim, it holds the half-edge beyond the rim, and the first
+# point of the edge.
 _TWIN = 0
 _ORIGIN = _TWIN + 4 * MAX_FACES
 _CORNER_A = _ORIGIN + 4 * MAX_FACES
@@ -56,21 +58,24 @@ _CORNER_B = _CORNER_A + MAX_POINTS
 _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
-# Input of `proven_depth`: the faces, the number of points, and the numbers of vectors of A and of B.
+# Input of `proven_depth`: the mask of the faces, the number of points, and the numbers of vectors that hold the corners
+# of A and of B.
 _LEFT = _RIM_FROM + 3 * MAX_FACES
 INTEGERS = _LEFT + 4
 
-# A face has no reliable direction if its normal is shorter than FLAT_FACE times the square of its longest side.
+# A face has no reliable direction if the cross product of two sides is no longer than FLAT_FACE times the square of the
+# longer one.
 FLAT_FACE = 1e-10
 
-# Rounding may place the foot of the origin outside its face by at most FOOT_SLACK in barycentric coordinates.
+# Largest amount, in barycentric coordinates, by which rounding may place the foot of the perpendicular from the origin
+# outside its face.
 FOOT_SLACK = 1e-9
 
-# Indices of the points of the first shell; its faces have the same indices.
+# Indices of the four points of the first shell, and also of its four faces.
 _P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
-# Twins of the half-edges of the first shell. Each face has three entries in use and one unused entry; the faces are (1
-# 2 3), (0 3 2), (0 1 3) and (0 2 1).
+# Twins of the half-edges of the first shell. Each face has three entries that are used and a fourth that is not; the
+# points of the faces are (1 2 3), (0 3 2), (0 1 3) and (0 2 1).
 _FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
@@ -246,7 +251,8 @@ def _first_shell(W, K):
     a, b, c, d = _point(W, _P0), _point(W, _P1), _point(W, _P2), _point(W, _P3)
     volume = dot(minus(d, a), cross(minus(b, a), minus(c, a)))
     one, two = (_P2, _P1) if volume < 0.0 else (_P1, _P2)
-    # Face f lies opposite point f. The points `one` and `two` may have been swapped, so that the faces point outward.
+    # Face f lies opposite point f. The points `one` and `two` are swapped if necessary, so that the faces point
+    # outward.
     fine = _make_face(W, K, _P0, one, two, _P3)
     fine = _make_face(W, K, _P1, _P0, _P3, two) and fine
     fine = _make_face(W, K, _P2, _P0, one, _P3) and fine
@@ -313,8 +319,8 @@ def _expand(W, K, live, seen, w):
         f = _first_bit(rest)
         rest &= rest - 1
         for e in range(3):
-            # To avoid a branch, write an entry for every side. The next side overwrites it unless the face beyond this
-            # side stays.
+            # To avoid a branch, write an entry for every side. The next side overwrites this entry unless the face
+            # beyond the current side is kept.
             twin = K[_TWIN + 4 * f + e]
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
@@ -338,7 +344,7 @@ def _expand(W, K, live, seen, w):
         offset = W[_OFFSET + last]
         if offset < least:
             nearest, least = last, offset
-    # Walk along the rim: the walk must return to its start after all edges of the rim, and not earlier.
+    # Walk along the rim: the walk must return to its start after it has passed all edges of the rim, and not earlier.
     back = 0
     g = last
     for _ in range(count):
@@ -444,8 +450,8 @@ def _witness(W, K, live, f, window, result):
     a, b, c = _foot(W, K, f)
     inside = min(a, min(b, c))
     if not inside >= 0.0:
-        # A parallelogram (a face spanned by two edges) is two triangles here, and f may be the triangle without the
-        # foot.
+        # A parallelogram (a face spanned by two edges) consists of two triangles here, and f may be the one that does
+        # not contain the foot of the perpendicular from the origin.
         rest = _not_above(W, live, window)
         while rest != 0:
             g = _first_bit(rest)

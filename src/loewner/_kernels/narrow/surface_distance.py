@@ -27,7 +27,7 @@ from loewner._kernels.pieces.shapes import radius, rotation_of
 from loewner._kernels.simd.vectors import highest, maximum, movemask, next_lane, store
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of
 
-# Squares overflow in single precision if sums of lengths [m] are larger than FARTHEST.
+# Limit on the sum of the lengths [m] that enter a distance. With larger sums, squares overflow in single precision.
 FARTHEST = 1e18
 
 
@@ -62,7 +62,7 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
         return 0.0, np.inf
     verdict, _ = surface_pair(A, B, 0.0, 0.0, memory, memory, 0)
     if verdict != FREE:
-        # Coplanar faces leave the verdict open even if other parts certainly overlap.
+        # If faces are coplanar, the verdict remains open even if other parts certainly overlap.
         depth = surface_depth(A, B, shift, n, faces, edges, memory, result)
         if depth > 0.0:
             return -depth, 0.0
@@ -80,7 +80,7 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     if triangle_b >= 0:
         B = walk.triangle_piece(B, triangle_b, 0.0, walk.second_of(memory))
     distance, gap = _between_pieces(A, B, shift, n, memory, result)
-    # Flat cores in one plane have no depth.
+    # Flat cores that lie in the same plane have depth 0.
     return (min(distance, 0.0), 0.0) if verdict == COLLIDING else (distance, gap)
 
 
@@ -99,7 +99,7 @@ def _between_pieces(A, B, shift, n, memory, result):
     if k == 4:  # The cores have a point in common, whose weights `run` has not written.
         above = -radii
         weigh_inside(G, weights, v)
-    below = max(below, -radii)  # Cores that certainly intersect were settled before.
+    below = max(below, -radii)  # The distance is at least 0: cores that certainly intersect were settled before.
     write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 
@@ -297,7 +297,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             searches += 1
             walk.keep_plane(B, shift, R, n, size, planes, k)
             if status != APART:
-                if status != NEAREST:  # The pieces are so close to contact that more care is needed.
+                if status != NEAREST:  # The pieces are so close to contact that the fast search has no result.
                     piece = walk.triangle_piece(A, leaf * LEAF + lane, 0.0, walk.first_of(memory))
                     above, _ = _between_pieces(piece, B, shift, n, memory, result)
                 if above <= best:

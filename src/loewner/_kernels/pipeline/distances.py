@@ -44,30 +44,32 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# Number of times that the search for the first pair goes from a center to the nearest center of the other body and
-# back.
+# Number of rounds of the search for the first piece pair. A round goes from a center to the nearest center of the other
+# body, and back from there.
 SEED_ROUNDS = 3
 
-POSE_ENTRIES = 16  # A pose has POSE_ENTRIES numbers.
+POSE_ENTRIES = 16  # Number of entries of a pose.
 
-AHEAD = 2  # The vertices of a piece are prefetched AHEAD lanes before their use.
+AHEAD = 2  # Number of lanes by which the vertices of a piece are prefetched before they are used.
 
-# A distance is settled when its bounds differ by at most SETTLED times the lengths involved.
+# Tolerance of distances: a distance is settled if its bounds differ by at most SETTLED times the lengths involved.
 SETTLED = 1e-9
 
-# A curved piece that is neither an ellipsoid nor a ball may have the same depth in every direction. The depth found is
-# then correct up to rounding, but the 1,500 points of the expanding polytope prove it only to 4e-4. The depth is
-# returned nonetheless: a plane and two witnesses attain it, and it is never less than the true depth.
+# Tolerance of depths if a piece is curved. A curved piece that is neither an ellipsoid nor a ball may have the same
+# depth in every direction. The computed depth is then correct up to rounding, but the 1,500 points of the expanding
+# polytope prove it only to 4e-4. The depth is returned nonetheless, because a plane and two witnesses attain it, and it
+# is never less than the true depth.
 SETTLED_CURVED = 1e-3
 
-NEVER = -1.0  # With this tolerance, no distance is settled.
+NEVER = -1.0  # Tolerance with which no distance is settled.
 
-# The vector between two witnesses may deviate from the depth times the normal by WITNESSES times the lengths involved.
+# Largest deviation of the vector between two witnesses from the depth times the normal, relative to the lengths
+# involved.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
-LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # The arrays of a `Left` have these numbers of columns.
+LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # Numbers of columns of the two arrays of a `Left`.
 
 
 class Bounds(NamedTuple):
@@ -200,8 +202,8 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     # The returned depth is the upper bound, which is measured to the support plane perpendicular to the returned
-    # normal. Only a graze needs more accuracy, to distinguish it from a gap. Deep in a curved piece, that accuracy is
-    # not achievable, and requesting it degrades the witnesses.
+    # normal. A higher accuracy is needed only for a graze, to distinguish it from a gap. If curved pieces overlap
+    # deeply, the higher accuracy is not achievable, and requesting it would make the witnesses worse.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
@@ -209,7 +211,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if deep != NO_VOLUME:
         if graze:
             # If an expanding polytope does not contain the origin, its nearest face may not contain the foot of the
-            # origin either. The points that GJK found may therefore be better.
+            # perpendicular from the origin either. The witnesses from GJK may therefore be better.
             before = result.copy()
             missed = _miss(result, -deep)
             write_simplex(G, k, weights, d, result)
@@ -220,7 +222,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
                     result[c] = before[c]
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
-        # The cores are apart after all: use the result of GJK, with its gap.
+        # The cores are apart after all: return the distance from GJK, and the gap between its bounds.
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
@@ -306,14 +308,14 @@ def _of_surfaces(A, B, lane, queue, known, searches):
     """Distance of a surface and another piece, provided that it is less than the `known` distance of their bodies."""
     ra, rb, size, above = radius(A), radius(B), queue.size[lane], queue.above[lane]
     limit = above if above < known else known
-    # The limit is slightly larger than the bound from the ellipsoids: that bound is rounded, and poses stretch it but
-    # not the radii.
+    # The limit is slightly larger than the bound from the ellipsoids, because that bound is rounded, and because poses
+    # that are not exactly rigid stretch the bound but not the radii.
     limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
     value, gap = surface_distance(
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
     )
     if value == np.inf and not known <= above:
-        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The search missed a distance that the ellipsoids prove.
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The search missed a distance below the ellipsoids' bound.
     value = value - ra - rb
     if value < 0.0:  # Rounding must not make the returned depth larger than the true depth.
         value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
@@ -347,7 +349,8 @@ def _of_cores(A, B, lane, queue, searches):
     ends = begin(A, B, shift, searches.vertices)
     status, below, above = measure(A, B, shift, searches.vertices, ends, n, error, -np.inf, np.inf, searches.result)
     ra, rb = radius(A), radius(B)
-    # If the inner ellipsoids prove an overlap, a positive distance between the cores is a rounding error.
+    # A distance above the ellipsoids' upper bound is wrong because of rounding, for example a positive distance
+    # although the inner ellipsoids overlap.
     if status == NEAREST and not above - ra - rb <= queue.above[lane] + SETTLED * size:
         status = UNSETTLED
     return status, Measured(above - ra - rb, above - below, SETTLED, ra, rb)
@@ -417,7 +420,7 @@ def measure_late(late, operands, queued, left, exact):
         ra, rb = radius(A), radius(B)
         missed = _miss(result, value + ra + rb)
         if np.isnan(missed) or (value < 0.0 and missed > WITNESSES * queue.size[lane]):
-            tolerance = NEVER  # The witnesses do not confirm the depth, or they are not numbers.
+            tolerance = NEVER  # The witnesses do not confirm the depth, or some of their coordinates are NaN.
         _record(lane, queue, Ta, Measured(value, gap, tolerance, ra, rb), result, exact)
 
 
@@ -467,8 +470,8 @@ def _room(kept, left):
     if kept + QUEUED <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
-    # Here and elsewhere, loops copy entries. For an assignment of slices, Numba would also compile a Python error, in
-    # case the shapes differ.
+    # Here and elsewhere, loops copy single entries. For an assignment of slices, Numba would also generate code that
+    # raises a Python error if the shapes differ.
     for n in range(kept):
         for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]
@@ -502,7 +505,8 @@ def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds,
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # A first bound on the distance lets the walk skip most pairs.
+    # Start with two pieces that are probably near each other: their distance is a bound that lets the walk skip most
+    # pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     pair_count = 1
@@ -562,8 +566,8 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    # The lists are empty at first, and lie in `memory`, because creating an array, even an empty one, would allocate
-    # memory in every query.
+    # The lists are empty at first. They lie in `memory`, because creating a new array, even an empty one, would
+    # allocate memory in every query.
     left = Left(integers_at(memory, (0, LEFT_INTEGERS)), floats_at(memory, (0, LEFT_FLOATS)))
     count, kept = 0, 0
     for k in range(start, stop):
@@ -590,7 +594,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
                     count = 0
     kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
-    return left.pieces[:kept], left.values[:kept]  # Python could read a record only by a slow call.
+    return left.pieces[:kept], left.values[:kept]  # Python would need a slow call to read a record.
 
 
 @njit()

@@ -41,41 +41,46 @@ from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
-# A placed point has two errors. The error due to its body's rotation is proportional to the point's distance from the
-# body's origin, and the error of the origin itself is proportional to the coordinates of its start and end.
+# The position of a placed point has two errors. The first is due to the rotation of the body, and is proportional to
+# the distance of the point from the body's origin. The second is the error of the origin itself, and is proportional to
+# the coordinates of the origin at the start and at the end.
 TURN_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B58
 PLACE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B59
 
-# The factor UPWARD allows for poses accepted as rigid, which stretch paths, and for a few dozen roundings in rates.
+# Fraction by which bounds on rates are raised, to allow for a few dozen roundings, and for poses that are accepted as
+# rigid although they stretch paths slightly.
 STRETCH = 1e-5  # certified.md B60
 UPWARD = 1.0 + STRETCH
 
-# A turn is rejected if the cosine of half its angle is below NEARLY_HALF_TURN, because poses that were stored as
-# float32 may not determine which way is shorter.
+# Limit on the cosine of half the angle of a turn. A turn with a smaller cosine is nearly half a turn and is rejected,
+# because poses that were stored as float32 may not determine which way around is shorter.
 NEARLY_HALF_TURN = 1e-6
 
-ROUNDS = 256  # Hulls need seven rounds; only motions that graze within the tolerance need all ROUNDS.
+ROUNDS = 256  # Maximum number of rounds. Hulls need seven; only motions that graze within the tolerance need all.
 
-# Steps assume that the curvature is SHARE times its bound. The optimum is flat: 0.3 and 0.6 take 2 % more rounds. A
-# step that is not proven is multiplied by a factor between LEAST and REDUCED, see `_reduced`.
+# The length of a step is chosen as if the curvature were SHARE times its bound. The exact share matters little: with
+# 0.3 or 0.6, 2 % more rounds are needed. A step that is not proven is shortened: it is multiplied by at most REDUCED,
+# and by at least LEAST unless the gap at its start requires an even shorter step, see `_reduced`.
 SHARE, LEAST, REDUCED = 0.4, 0.3, 0.8
-# If a step is not proven, the search goes back by this fraction of the longest step that the plane at its end may
-# prove, see `_reduced`.
+# If a step is not proven, the search goes back from the end of this step. It goes back by this fraction of the longest
+# step that the plane at this end may prove, see `_reduced`.
 REACHED = 0.5
 
-# The last step but one ends BEFORE times the tolerance from contact. The last step is so short that, at full speed, the
-# bodies would approach each other by at most LAST times the tolerance between the two returned times.
+# The last step but one ends so shortly before the expected contact that, at full speed, the bodies would approach each
+# other by BEFORE times the tolerance until the contact. The last step is so short that, at full speed, they would
+# approach each other by at most LAST times the tolerance between the two returned times.
 BEFORE, LAST = 0.25, 0.9
 
-SURFACE_SHARE = 0.95  # Steps of surfaces take this fraction of the longest step that their speed allows.
-NEAR = 1e-9  # The fraction NEAR of a surface's distance is reserved for rounding until the distance is proven.
+SURFACE_SHARE = 0.95  # For surfaces: the length of a step, relative to the longest step that the speed allows.
+NEAR = 1e-9  # Fraction of a surface's distance that is reserved for rounding; it is raised until the rest is proven.
 
-# Columns of a motion, with one row for each body. The rotation at time 0 is split into a constant part, a sine part and
-# a cosine part. The further columns hold the origin at time 0 and its displacement, the angular velocity, the axis in
-# the body's frame, the angle, and the sum of the coordinates.
+# Columns of an array of motions, which has one row for each body. The rotation at time 0 is split into a constant part,
+# a sine part and a cosine part. The further columns hold the origin at time 0 and its displacement, the angular
+# velocity, the axis in the frame of the body, the angle, and the sum of the absolute coordinates of the origin at both
+# ends.
 REST, SINE, COSINE, START, WAY, SPIN, AXIS, ANGLE, SIZE, MOTION = 0, 9, 18, 27, 30, 33, 36, 39, 40, 41
 
-FOUND = 64  # The trees yield up to FOUND piece pairs at a time.
+FOUND = 64  # Maximum number of piece pairs that the trees return at a time.
 
 MEMORY = Arena(
     poses=floats(2, 4, 4), motions=floats(2, MOTION), search=SEARCH, faces=floats(epa_fast.FLOATS),
@@ -129,7 +134,7 @@ def write_motion(first, last, poses, row, motion):
         return False
     axis, angle = (0.0, 0.0, 1.0), 0.0
     if sine > 0.0 and not same:
-        # Compute the angle from the tangent of its quarter.
+        # Compute the angle from the tangent of a quarter of the angle.
         axis, angle = scaled(1.0 / sine, v), 4.0 * arc_tangent(sine, w + np.sqrt(sine * sine + w * w))
     # The rotation is R exp(a [k]) = R k k' + sin(a) R [k] + cos(a) (R - R k k').
     k, Rk = axis, apply(R, axis)
@@ -201,8 +206,8 @@ def _nearing_speed(A, way_a, B, way_b):
     between = minus(_three(way_b, START), _three(way_a, START))
     then = plus(between, minus(_three(way_b, WAY), _three(way_a, WAY)))
     apart = np.sqrt(max(dot(between, between), dot(then, then)))
-    # Poses that are accepted as rigid may be slightly stretched, and rotating a stretched frame moves the two points
-    # differently.
+    # Poses that are accepted as rigid may stretch lengths slightly. If a stretched frame turns, the two nearest points
+    # do not move exactly alike.
     stretch = STRETCH * (apart + reach_a + reach_b)
     arm_a = min(arm_of(A, way_a), apart + reach_b + stretch)
     arm_b = min(arm_of(B, way_b), apart + reach_a + stretch)
@@ -247,7 +252,8 @@ def _look_at_surface(A, B, n, margin, far, memory):
         return verdict == COLLIDING, n, -np.inf, np.inf, n, n
     size, error = lengths(A, B, shift), rounding_error(A, B, shift)
     value, _ = surface_distance(A, B, n, 2.0 * size, faces_of(memory), edges_of(memory), work, result)
-    # A verdict proves a slightly smaller distance, `keep`; if faces are parallel, `keep` must be smaller still.
+    # A verdict FREE proves `keep`, which is slightly smaller than the distance. If faces are parallel, only a still
+    # smaller distance can be proven.
     share, keep, verdict = NEAR, 0.0, AMBIGUOUS
     while verdict != FREE and share < 1.0:
         keep = min(value, 2.0 * size) * (1.0 - share) - 4.0 * error
@@ -360,14 +366,15 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
     speed, bend = rates_between(way_a, arm_a, way_b, arm_b)
     reaches = A.table[A.piece, REACH] + B.table[B.piece, REACH]
     slack = TURN_ROUNDINGS * reaches + PLACE_ROUNDINGS * (way_a[SIZE] + way_b[SIZE])
-    # The error of a rotation also stretches the rounding radii.
+    # An error in a rotation also stretches the rounding radii of the pieces.
     far = margin + swollen_radii(A, B) * (1.0 + TURN_ROUNDINGS) + slack
     surface = is_surface(A) or is_surface(B)
-    if surface:  # Only this speed proves steps of surfaces, see `_nearing_speed`.
+    if surface:  # For surfaces, only this speed can prove a step, see `_nearing_speed`.
         speed = _nearing_speed(A, way_a, B, way_b)
     t, at, hit, turning = 0.0, 0.0, np.inf, 0.0
     gap, above, nearing, normal = np.inf, np.inf, 0.0, (0.0, 0.0, 0.0)
-    # Keep the last plane that did not prove the step from t; it often proves the step from a later t.
+    # Keep the plane at the end of the last step that was not proven. From a later t, this plane often proves the step
+    # to the same end.
     later, later_gap, later_above, later_nearing, later_normal = np.inf, 0.0, np.inf, 0.0, normal
     _place(motions, 0.0, poses)
     n = minus(plus(shift_between(A, B), _middle(B)), _middle(A))
@@ -391,7 +398,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 change = _turned(n, normal)
                 lost = lost_between(speed, bend, change, w)
                 proven = proven or min(gap, low) > lost
-                # This curvature would explain why the model of the last step predicted a larger gap.
+                # Curvature that explains two losses: the loss that the bounds allow during the step, and the amount by
+                # which the gap at the end is smaller than predicted.
                 curve = (lost + max(gap - nearing * w - low, 0.0)) / (w * w)
                 if proven:
                     turning = change / w
@@ -411,7 +419,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
         # Even at full speed, the gap does not close before t + gap / speed.
         if (hit - t) * speed - gap <= tolerance:
             return COLLIDING, min(t + gap / speed, hit), hit, r
-        # The time t is within the tolerance of the known contact.
+        # Even at full speed, the bodies approach each other by no more than the tolerance between t and the known
+        # contact.
         if horizon < 1.0 and (horizon - t) * speed <= tolerance:
             return FREE, min(t + gap / speed, horizon), np.inf, r
         if proven:
@@ -422,7 +431,8 @@ def _between_pieces(A, B, horizon, margin, tolerance, memory):
                 due, before = gap / nearing, BEFORE * tolerance / speed
                 last = (LAST * tolerance + gap) / speed
                 # Step past the expected contact, but by no more than the time that remains until this contact. If a
-                # search cannot settle a contact this shallow, it can settle a contact that is closer to touching.
+                # search cannot settle a contact of such a small depth, it can settle a contact that is closer to
+                # touching.
                 w = min(0.5 * (due + last), 2.0 * due) if due + before <= last else min(w, due - before)
         else:
             w = _reduced(w, gap, nearing, low, curve) if curve > 0.0 else 0.5 * w

@@ -55,20 +55,20 @@ from loewner._kernels.pipeline.workspace import (
 from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
-# Hints that one block passes to the next; they are also flags of `_flush`. FAR: most pairs are far apart. CLOSE: single
-# precision could not settle most pairs.
+# Hints that one block passes to the next; they are also flags of `_flush`. FAR: the bounding spheres of most pairs are
+# apart. CLOSE: single precision could not settle most pairs.
 FAR, CLOSE = 1, 2
 
-DISTINCT = 4  # No pair of bodies is listed twice, because each body is one piece.
-CONSECUTIVE = 8  # The listed pairs are consecutive.
-PREFETCHING = 16  # The list `ahead` contains the entries of a later block.
-BEST = 32  # The listed pairs need the maximum of the contact function, which the first guesses of s missed.
+DISTINCT = 4  # Flag: no pair of bodies is listed twice, because each body is one piece.
+CONSECUTIVE = 8  # Flag: the listed pairs have consecutive indices.
+PREFETCHING = 16  # Flag: the list `ahead` contains the entries of a later block.
+BEST = 32  # Flag: the listed pairs need the maximum of the contact function; the first guesses of s missed it.
 
-AHEAD = 6  # The vertices of a piece pair are prefetched AHEAD piece pairs before their use.
+AHEAD = 6  # Number of piece pairs by which the vertices of a piece pair are prefetched before they are used.
 
-LEAD = 2 * BLOCK  # The rows of a piece pair are prefetched LEAD piece pairs before their use.
+LEAD = 2 * BLOCK  # Number of piece pairs by which the rows of a piece pair are prefetched before their use.
 
-ENOUGH = BLOCK // 2  # Pairs that need the best s are settled once ENOUGH have been collected.
+ENOUGH = BLOCK // 2  # Number of unsure pairs that, once collected, are certified at the best s.
 
 
 class Query(NamedTuple):
@@ -155,7 +155,7 @@ def _put_aside(count, listed, tier, waiting, unsure):
 def _improved(query, count, work):
     """Certify UNSURE lanes again, at the maximum of the contact function; return False if a pose is not rigid."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    again = ahead_of(work)  # The pairs listed here have already been prefetched.
+    again = ahead_of(work)  # This list may be overwritten, because its pairs have already been prefetched.
     unsure = _put_aside(count, listed_of(work), tier_of(work), 0, again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
@@ -333,7 +333,7 @@ def _flush(query, flags, count, work, out, tally):
                     a, listed.piece_a[lane], Ta, listed.pose_a[lane], b, listed.piece_b[lane], Tb, listed.pose_b[lane],
                     query.margin,
                 )  # fmt: skip
-    # The loops avoid branches, because the result of the next pair is unpredictable.
+    # The loops avoid branches, because a processor could not predict the results of the pairs.
     far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
@@ -373,7 +373,7 @@ def _flush(query, flags, count, work, out, tally):
 def _hold(a, b, count, turn, work):
     """Copy the OPEN pairs, with their normals, to one half of the list of held pairs; return their number."""
     listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
-    # Find the open pairs first: few pairs are open, but copying a pair takes many instructions.
+    # Find the open pairs first, without copying: few pairs are open, and copying a pair takes many instructions.
     open_pairs = 0
     for lane in range(count):
         held.pair[np.uint64(at + open_pairs)] = lane
@@ -471,7 +471,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        # With one piece per body, no lookup is needed.
+        # If every body is one piece, the index of a body is also the index of its piece, so no lookup is needed.
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
@@ -488,7 +488,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                     _picked(listed.pose_a, ahead.pose_a, more, rows, 0, k, stop, step[2])
                     _picked(listed.pose_b, ahead.pose_b, more, rows, 1, k, stop, step[3])
                 else:
-                    # Along the last axis, the rows are arithmetic progressions.
+                    # Along the last axis of the batch, the rows of bodies and poses are arithmetic progressions.
                     more = min(more, shape[last] - k % shape[last])
                     first = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
                     _progressions(work, count, more, k, first, step)
@@ -501,8 +501,8 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 return False
             waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
-                # The waiting pairs replace this block. The results of waiting pairs must not become hints, because they
-                # do not predict the results of later blocks.
+                # Certify the waiting pairs in the memory of this block. Their results must not become hints, because
+                # they do not predict the results of later blocks.
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
@@ -520,7 +520,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     hints, filled = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-        # Check the poses here, because the trees may leave no piece pair whose test would check them.
+        # Check the poses here: if the trees exclude all piece pairs, no test of a piece pair will check the poses.
         if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
         out[k] = FREE

@@ -9,13 +9,14 @@ from loewner._kernels.narrow import exact, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
 
-# Entries of `carried_of`: the number of pairs held for the search, the half of the list that holds them, the number of
-# pairs that wait for the maximum of the contact function, and the number of pairs that wait for the batch GJK.
+# Indices of the entries of `carried_of`: the number of pairs held for the search, the half of the list that contains
+# these pairs, the number of pairs that wait for the maximum of the contact function, and the number of pairs that wait
+# for the batch GJK.
 N_HELD, HALF, N_UNSURE, N_WALKING, CARRIED = 0, 1, 2, 3, 4
 
 MEMORY = Arena(
-    listed=pair_list.arena(BLOCK),  # The piece pairs of a block.
-    ahead=pair_list.arena(BLOCK),  # Pairs that a later block will need, to be prefetched.
+    listed=pair_list.arena(BLOCK),  # The piece pairs of the current block.
+    ahead=pair_list.arena(BLOCK),  # Pairs of a later block, whose data are prefetched.
     unsure=pair_list.arena(BLOCK),  # Pairs waiting to be certified at the maximum of the contact function.
     # Pairs waiting for the exact search: one half is searched while the other half is filled.
     held=pair_list.arena(2 * BLOCK),

@@ -51,29 +51,30 @@ from loewner._kernels.simd.vectors import (
 )
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Rounding error of a deviation, in units of n (1 + D² + θ²) q, times L for positions; certified.md explains the
-# letters.
+# Bound on the rounding error of a deviation, in units of n (1 + D² + θ²) q for rotations, and of L times as much for
+# positions; certified.md explains the letters.
 LINE_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B55
 
 SPARE = 1e-9  # Relative allowance for the rounding of third derivatives and of lengths, see docs/certified.md.
 
-MIDDLE = 0.125  # Largest value of s (1 - s) / 2. Times a second derivative, it bounds the distance from the chord.
+MIDDLE = 0.125  # Largest value of s (1 - s) / 2. A second derivative times MIDDLE bounds the distance from the chord.
 
-# Largest number of Newton steps towards a configuration; a good guess needs three.
+# Maximum number of Newton steps to a configuration; from a good first guess, three steps are enough.
 STEPS = 32
 
-# An axis counts as brought back if it is within (1 + NEARLY) times the tolerance.
+# An axis counts as brought back if it deviates by at most (1 + NEARLY) times the tolerance.
 NEARLY = 0.01
 
-# The next motions may use the fraction SHARE of the tolerance. Motions may become longer by at most the factor GROWTH
-# at a time, and shorter by at most the factor SHRINKING.
+# The next motions are expected to use the fraction SHARE of the tolerance. From one attempt to the next, motions may
+# become longer by at most the factor GROWTH, and shorter by at most the factor SHRINKING.
 SHARE, GROWTH, SHRINKING = 0.85, 4.0, 64.0
 
-# LEAST_MOTION is the shortest motion, as a fraction of the line. LONGEST is the longest line [m]; its shortest motions
-# are about 0.15 m long.
+# Length of the shortest motion, as a fraction of the line (LEAST_MOTION), and length of the longest line [m] (LONGEST),
+# whose shortest motions are about 0.15 m long.
 LEAST_MOTION, LONGEST = 2.0**-16, 1e4
 
-# Largest angle of a line [rad]. At half a turn, rounding would decide which way around is shorter.
+# Largest angle [rad] by which a line of poses may turn. At half a turn, rounding would decide which way around is
+# shorter.
 LARGEST_ANGLE = np.pi - 1e-6
 
 
@@ -220,7 +221,7 @@ def line_between(R0, t0, R1, t1):
     axis = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine, cosine = np.sqrt(dot(axis, axis)), 0.5 * (xx + yy + zz - 1.0)
     angle = arc_tangent(sine, cosine)
-    if cosine < 0.0:  # Near half a turn, this axis is short, and the columns of E + Eᵀ - 2 cos are long.
+    if cosine < 0.0:  # Near half a turn, `axis` is short, and a column of E + Eᵀ - 2 cos(angle) I is long.
         if xx >= yy and xx >= zz:
             column, sign = (2.0 * (xx - cosine), xy + yx, xz + zx), axis[0]
         elif yy >= zz:
@@ -408,7 +409,7 @@ def follow_line(chain, constants, ranges, start, target, wanted):
     q, middle, d, still = (
         np.empty(values * LANES), np.empty(values * LANES), np.empty(values * LANES), np.zeros(values * LANES)
     )  # fmt: skip
-    # Fractions and gaps at nine configurations: the last one kept, and eight new ones.
+    # Fractions, deviations and cosines at nine configurations: the last one kept, and eight new ones.
     u, off, turned, cosines = np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1), np.zeros(LANES + 1)
     bounds, rows = np.empty(3 * LANES), np.empty((64, 2 + values))
     need = Wanted(

@@ -22,31 +22,35 @@ from loewner._kernels.elementary import arc_sine
 from loewner._kernels.pieces.pack import motion_tables_of, problem_of
 from loewner._kernels.tolerances import STRETCH, UNIT_ROUNDOFF
 
-# Rounding error of a position from forward kinematics, for each joint of the chain, in units of the chain's length.
+# Bound on the rounding error of a position computed by forward kinematics, per joint of the chain, in units of the
+# chain's length.
 JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # certified.md B24
 
-# Error of a computed joint value, in units of the course's degree times its largest control point.
+# Bound on the rounding error of a joint value computed from a course, in units of the degree of the course times the
+# largest absolute value of its control points.
 VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B25
 
-# Error of the control points of a part of a course, in the same units as the error of a joint value.
+# Bound on the rounding error of the control points of a part of a course, in the same units as for a joint value.
 PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # certified.md B50
 
-# Factor by which an angle is multiplied to bound its effect on the entries of a rotation, in the Frobenius norm.
+# Factor that turns an error in a rotation's angle into a bound on the error of the rotation matrix, in the Frobenius
+# norm.
 TURN = 1.5  # certified.md B26
 
-# Errors [rad] of the angle of an interpolated quaternion: the error from rounding, and the error per unit by which the
-# norms of the two ends deviate from 1.
+# Bounds on the error [rad] of the angle of an interpolated quaternion: the error from rounding, and the error per unit
+# of the larger deviation of the norms of the two ends from 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # certified.md B27
 NORM_SHARE = 16.0  # certified.md B28
 
 UPWARD = 1.0 + STRETCH
 
-SMALLEST_TURN = 1e-15  # SMALLEST_TURN [rad] exceeds the error of the angle between two equal quaternions.
+SMALLEST_TURN = 1e-15  # Bound [rad] on the error of the computed angle between two equal quaternions.
 
 
-# All control points of a quaternion must extend along the first one by at least LEAST_NORM times their largest norm.
-# Otherwise, the orientation might turn arbitrarily fast. On such a course, any two quaternions are less than 90° apart.
-# For the parts of the course, only this consequence is required.
+# The component of every control point of a quaternion along the first control point must be at least LEAST_NORM times
+# the largest norm of a control point. Otherwise, the orientation might turn arbitrarily fast. If the condition holds,
+# any two quaternions of the course are less than 90° apart. For a part of the course, only this consequence is
+# required.
 LEAST_NORM = 0.75
 
 
@@ -133,7 +137,7 @@ def _of_course(degree, width, size, first, second):
         return _Derivatives(size, first, 0.0)
     off = PART_ROUNDINGS * degree * size if width < 1.0 and first > 0.0 else 0.0
     first += 2.0 * off
-    # A difference between two differences loses digits.
+    # Subtracting one difference from another loses digits.
     second += 4.0 * off + 4.0 * UNIT_ROUNDOFF * first
     return _Derivatives(size + off, degree * first / width, degree * (degree - 1) * second / (width * width))
 
@@ -169,7 +173,7 @@ def _orientation(course, at, width):
         turn, astray = _arc(course, at)
         return turn, 0.0, SLERP_ROUNDINGS + NORM_SHARE * astray
     p = _derivatives(course, at, 4, width)
-    # Every control point extends along the first one by at least `least`, and so does every point of the curve.
+    # Every control point has a component of at least `least` along the first one, and so has every point of the curve.
     least = np.inf
     for k in range(course.shape[0]):
         reached = 0.0
@@ -345,7 +349,7 @@ def ways_between(tables, rates, body, link, fixed):
     down_from = tables.path_start[fixed] + shared if fixed >= 0 else 0
     down_to = tables.path_start[fixed + 1] if fixed >= 0 else 0
     reach = tables.reach
-    every = turning = 0.0  # Sums of the rates of the turning joints between the current joint and the reference body.
+    every = turning = 0.0  # Sums of the rates and accelerations of the turning joints between the two bodies.
     for k in range(up_from, up_to):
         every += rates.turn[tables.path_link[k]]
         turning += rates.turning[tables.path_link[k]]
@@ -365,7 +369,7 @@ def ways_between(tables, rates, body, link, fixed):
     for k in range(down_from, down_to):
         joint = tables.path_link[k]
         turn, slide = rates.turn[joint], rates.slide[joint]
-        # On this side, a joint slides before it turns, so its own turn counts as well.
+        # On this side, a joint slides before it turns, so its own rotation counts as well.
         bend += 2.0 * slide * rest
         rest = max(rest - turn, 0.0)
         travel += rates.far[joint]
@@ -373,7 +377,7 @@ def ways_between(tables, rates, body, link, fixed):
         bend += far * (turn + 2.0 * rest)
         bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
-    # The differences that make up `rest` add a few roundings of `every` for each joint.
+    # The subtractions that compute `rest` add an error of a few roundings of `every` for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD, every * UPWARD, turning * UPWARD, travel)
 
 

@@ -14,8 +14,8 @@ from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.trig import sine_of
 from loewner._kernels.simd.vectors import LANES, load, rounded_product, select, sqrt, store
 
-SMALL_ANGLE = 1e-6  # For angles below SMALL_ANGLE [rad], the chord equals the arc.
-SMALL_COSINE = 1.0 - 4e-13  # SMALL_COSINE is the cosine of an angle that is certainly below SMALL_ANGLE.
+SMALL_ANGLE = 1e-6  # Angle [rad] below which an arc is replaced by its chord.
+SMALL_COSINE = 1.0 - 4e-13  # Cosine of an angle that is certainly below SMALL_ANGLE.
 SMALLEST_SINE = 1e-12
 
 

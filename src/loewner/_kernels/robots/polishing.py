@@ -24,19 +24,20 @@ from loewner._kernels.robots.free_motions import judge_of, random, sample_memory
 from loewner._kernels.robots.shortening import cut, motion_is_free, skip_corners
 from loewner._kernels.simd.memory import held
 
-# CUTS is the fraction of the steps that cut, and MOVES the fraction that move a corner; all other steps straighten a
-# joint.
+# Fractions of the steps that cut from one point of the path to another (CUTS) and that move a corner (MOVES); all other
+# steps straighten the motion of a joint.
 CUTS, MOVES = 0.2, 0.6
 
-# Before every SKIP_EVERY-th step, corners are skipped where possible.
+# Number of steps from one attempt to skip corners to the next.
 SKIP_EVERY = 32
 
-# LEAST_SIZE and MOST_SIZE limit the size of a move, as a fraction of the corner's distance from the straight path. A
-# success multiplies the size by LARGER, and a failure by SMALLER; the two balance if about one step in five succeeds.
+# Limits on the size of a move, as a fraction of the distance of the corner from the straight motion between its
+# neighbors. A move that is free multiplies the size by LARGER, and a move that is not free by SMALLER; the two balance
+# if about one move in five is free.
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
-# A step changes some motions, and must lower their cost by at least the fraction GAIN.
+# Minimum relative gain of a step: it must lower the cost of the motions that it changes by more than this fraction.
 GAIN = 1e-9
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from loewner._kernels._jit import njit
 from loewner._kernels.simd.trig import sine_of
 
-SMALL_ARC = 1e-6  # For angles below SMALL_ARC [rad], the chord equals the arc.
+SMALL_ARC = 1e-6  # Angle [rad] below which an arc is replaced by its chord.
 
 
 @njit()

@@ -42,28 +42,28 @@ EVERY = (1 << INTERVALS) - 1
 
 STRIDE = 2 * LANES
 
-# Numbers of a body. At each configuration: the center and half-widths of its box. For each interval: the middle and
-# half the length of the center's chord, and the middle and half-widths of a box. For all intervals together: the middle
-# and half-widths of a box.
+# Offsets of the numbers of a body. For each configuration: the center and the half-widths of the body's box. For each
+# interval: the middle of the chord of the center's path, half the length of this chord, and the middle and the
+# half-widths of a box. For all intervals together: the middle and the half-widths of a box.
 _MIDDLE = 6 * STRIDE
 _HALF_CHORD = _MIDDLE + 3 * LANES
 _BOX = _HALF_CHORD + LANES
 _WHOLE = _BOX + 6 * LANES
 BODY = _WHOLE + LANES
 
-SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # Bits for the parts of a body that are done: bounds, pieces, poses.
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # Bits that record the written data of a body: bounds, pieces, poses.
 
-# Numbers of a group of static bodies, see `records.MotionTables`.
+# Offsets of the numbers of a group of static bodies, see `records.MotionTables`.
 _MARGIN = 6 * LANES
 _SIZE = 7 * LANES
 GROUP = 8 * LANES
 
-# Numbers of a piece: the center and the shape matrix of its outer ellipsoid.
+# Offsets of the numbers of a piece: the center and the shape matrix of its outer ellipsoid.
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half-widths are widened by the fraction STRETCH, to allow for rounding and for accepted poses, which may
-# stretch them.
+# Fraction by which radii and half-widths are enlarged, to allow for rounding, and for poses that are accepted as rigid
+# although they stretch lengths slightly.
 STRETCH = 1e-5  # certified.md B31
 WIDER = 1.0 + STRETCH
 

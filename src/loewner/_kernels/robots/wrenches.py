@@ -37,7 +37,7 @@ from loewner._kernels.robots.kinematics import (
 )
 from loewner._kernels.simd.vectors import LANES, broadcast, load, store
 
-WRENCH = 6  # Each link takes WRENCH vectors: a force and a moment.
+WRENCH = 6  # Number of vectors per link: three for the force, and three for the moment.
 
 
 @inline
@@ -148,7 +148,7 @@ def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start
     wrenches, slopes = np.empty(WRENCH * LANES * links), np.empty(LANES * dof)
     for first in range(start, stop, LANES):
         for lane in range(LANES):
-            rows[lane] = min(first + lane, stop - 1)  # Repeats of the last configuration pad the rows.
+            rows[lane] = min(first + lane, stop - 1)  # The last configuration fills all remaining rows.
         place_links(tree, Q, rows, 0, W)
         at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
         for row in range(6):

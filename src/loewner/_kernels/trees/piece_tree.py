@@ -19,19 +19,20 @@ from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
-# Each entry of RᵀR - 1 is at most 1e-6 (`rigid.ROTATION_TOLERANCE`). The deviation moves each coordinate of a point by
-# less than BEND times the point's distance from the body's origin, and stretches lengths by less than BEND. The
-# difference between BEND and these effects is far larger than the rounding errors of distances.
+# Bound on the effects of rotations that are not exactly orthonormal: each entry of RᵀR - 1 may be up to 1e-6
+# (`rigid.ROTATION_TOLERANCE`). This deviation moves each coordinate of a point by less than BEND times the distance of
+# the point from the body's origin, and stretches lengths by less than the fraction BEND. BEND exceeds these effects by
+# far more than the rounding errors of distances.
 BEND = 4e-6  # certified.md B21
 
-# The integers of a walk.
+# Indices of the integers of a walk.
 PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
 A_STACK = 7
 B_STACK = A_STACK + LEVELS * WIDE
 STEPS = B_STACK + LEVELS * WIDE
-# The floats of a walk are the box (lower, upper) of b in a's frame and the box of the piece in b's frame; the amounts
-# by which both boxes are widened; the map from points of a to b's frame (rotation, shift); and the lengths that
-# determine the rounding.
+# Indices of the floats of a walk: the box (lower, upper) of b in a's frame, the box of the piece in b's frame, the
+# amounts by which the boxes are widened, the map from points of a to b's frame (rotation, shift), and the sum of the
+# lengths, which determines the rounding errors.
 B_BOX, PIECE_BOX, A_SLACK, B_SLACK, TURN, SHIFT, SIZE = 0, 6, 12, 13, 14, 23, 26
 NUMBERS = 27
 
@@ -200,7 +201,8 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
     i = a.piece_start[ia]
     for _ in range(rounds):
         best = np.inf
-        # Find the piece of body a whose center is nearest to the center of piece j (in b's frame).
+        # Find the piece of body a whose center is nearest to the center of piece j; the centers are compared in b's
+        # frame.
         for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
             squared = 0.0
             for row in range(3):
