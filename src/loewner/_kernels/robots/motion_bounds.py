@@ -44,7 +44,10 @@ NORM_SHARE = 16.0  # certified.md B28
 
 UPWARD = 1.0 + STRETCH
 
-SMALLEST_TURN = 1e-15  # Bound [rad] on the error of the computed angle between two equal quaternions.
+# Bound [rad] on the absolute error of the computed angle between two quaternions. The quotients by the norms have
+# errors of at most 2^-53 in total for each quaternion, and the angle is twice as large as the distance: 4.5e-16. The
+# errors of the norms change the distance only by a relative amount, which UPWARD covers.
+SMALLEST_TURN = 1e-15
 
 
 # The component of every control point of a quaternion along the first control point must be at least LEAST_NORM times
