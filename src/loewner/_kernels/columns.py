@@ -90,7 +90,7 @@ RANDOM = 6  # State of the random number generator.
 POSES, SEARCHES, STEPS_LEFT = 7, 8, 9  # Counts from the proofs: poses, searches and steps left, see `robots.motions`.
 ROWS = 10  # Number of configurations on the path, once the trees have met.
 STATE = 11
-STEP, BOUND, GAP = 0, 1, 2  # Entries of `records.Search.reach`.
+STEP, BOUND, GAP = 0, 1, 2  # Indices of the entries of `records.Search.reach`.
 TREE_ROWS = 5  # Number of rows in the memory of both trees, in addition to the rows for joint values.
 
 # -- inverse kinematics, described in `robots.reach` ------------------------------------------------

@@ -45,9 +45,9 @@ from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
 ROUNDING = 2.0**-53  # The unit roundoff of float64.
 
-# Largest fraction of the way to the boundary that a step takes; going closer would make s/u too large to be useful.
+# Largest fraction of the way to the boundary that a step covers; closer to it, s/u would be too large to be useful.
 STEP_CAP = 0.9999
-# Lower limit on the centring parameter, below which the products u s are rounding noise.
+# Least value of the centring parameter; below it, the products u s would be mere rounding noise.
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
@@ -337,7 +337,7 @@ def spread_points(points, flatness, chosen, origin, frame):
         for k in range(n):
             norm += basis[j, k] * basis[j, k]
         widest = max(widest, np.sqrt(norm))
-        # Rounding alone can cause a width of up to 2 n roundings of the largest coordinate.
+        # Rounding alone can cause a width of up to 2 n times the rounding error of the largest coordinate.
         if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
             return FLAT, j, width, widest
         orthonormalise(basis[j], basis, j, n)
@@ -552,8 +552,8 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points with a squared radius up to exp(tol / n) use at most half of the tolerance. In each sector, the farthest
-        # of the other points joins the active set.
+        # Points with a squared radius up to exp(tol / n) use at most half of the tolerance. In each sector, the
+        # farthest of the other points joins the active set.
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):

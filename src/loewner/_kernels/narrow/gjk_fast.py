@@ -153,8 +153,9 @@ def decide(A, B, shift, W, ends, n, error):
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]
             continue
         if k == 3:
-            # Seen from the new point, b, c and e are in counter-clockwise order. The determinants f, g and h are positive
-            # if the origin lies beyond the faces that the new point forms with b and c, c and e, and e and b.
+            # Seen from the new point, b, c and e are in counter-clockwise order. The determinants f, g and h are
+            # positive if the origin lies beyond the face that the new point forms with b and c, with c and e, and with
+            # e and b, respectively.
             doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
             ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
             face_bc = cross(ab, ac)

@@ -31,7 +31,7 @@ LEVELS = 22  # Largest number of levels; no index needs more, because 8^22 > 2^6
 # above the bits of all three axes.
 STEPS = np.uint64(20)
 SIZE_CLASSES = 16
-SIZE_RATIO = 0.25  # Ratio between the size limits of successive classes.
+SIZE_RATIO = 0.25  # Ratio of the size limits of successive size classes.
 
 DIGIT = np.uint64(11)  # Number of bits that the radix sort takes in each pass.
 PASSES = 6
