@@ -314,8 +314,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    # The new point is no nearer. Since it is not a support point for p, `plane` is no lower bound.
-                    continue
+                    continue  # The new point is no nearer, and `plane` is no bound, because o differs from p.
             else:
                 if plane - error > lower:
                     lower = plane - error
