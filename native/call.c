@@ -1,9 +1,10 @@
 /* Python calls the native library through this extension: `Library` opens a library, and `Kernel` calls one of its
    functions. `pairs.c` and `configurations.c` answer common queries, each in a single call from Python. A function of
-   the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). A number takes one slot; an
-   array takes one slot for its address and one for each of its lengths. In a result, each array is preceded by the
-   address of a record that describes its memory; loewner_release frees the memory. The extension does not depend on
-   Numba, and the library does not depend on Python. */
+   the library has the form int32 loewner_NAME(const int64 *arguments, int64 *results). In both arrays, a number takes
+   one slot (an int64), and an array takes one slot for its address and one slot for each of its lengths. In `results`,
+   each array also has a slot before these slots: the address of a record that describes the array's memory. The
+   extension passes this address to loewner_release to free the memory. The extension does not depend on Numba, and the
+   library does not depend on Python. */
 
 #include "call.h"
 #include "system.h"
@@ -11,7 +12,7 @@
 #include <string.h>
 
 #define MOST_SLOTS 96
-#define PREFIX "loewner_" /* The names of all functions of the library begin with PREFIX. */
+#define PREFIX "loewner_" /* Beginning of the name of every function in the library. */
 
 /* -- types and objects --------------------------------------------------------------------------------------------- */
 
@@ -37,7 +38,7 @@ void free_object(PyObject *object)
 
 /* -- signatures of kernels ----------------------------------------------------------------------------------------- */
 
-/* The letters for arrays, and NumPy's types for their numbers. */
+/* Letters that denote arrays in signatures, and the NumPy types of the arrays' elements. */
 static const char ARRAYS[] = "FIBUT";
 static const int types[] = {NPY_DOUBLE, NPY_INT64, NPY_INT8, NPY_UINT8, NPY_BOOL};
 
@@ -120,7 +121,7 @@ static int put_number(char kind, PyObject *given, int64_t *slot)
     return *slot == -1 && PyErr_Occurred() ? -1 : 0;
 }
 
-/* Make one result from its slots. The memory behind the slots is released even after an error. */
+/* Convert the slots of one result to a Python object. The memory of an array is released even after an error. */
 static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **slot)
 {
     if (word->kind == 'A') {
@@ -159,7 +160,7 @@ static PyObject *kernel_call(Kernel *kernel, PyObject *const *given, Py_ssize_t 
     Py_BEGIN_ALLOW_THREADS
     code = kernel->function(arguments, results);
     Py_END_ALLOW_THREADS
-    if (code != 0) /* The only error that kernels raise is lack of memory. */
+    if (code != 0) /* The only error that a kernel can report is a lack of memory. */
         return PyErr_Format(PyExc_MemoryError, "an allocation failed in %U", kernel->name);
     if (kernel->results == 0)
         Py_RETURN_NONE;

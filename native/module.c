@@ -1,4 +1,4 @@
-/* The functions of the extension that Python can call. */
+/* The extension module, and the functions that it offers to Python. */
 
 #define HOLDS_ARRAY_API
 #include "single.h"

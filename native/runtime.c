@@ -1,7 +1,7 @@
-/* The parts of Numba's run time that kernels need: reference-counted memory. The layout of a description is Numba's
-   (numba/core/runtime/nrt.cpp). Compiled code updates the reference count itself, and calls NRT_MemInfo_call_dtor when
-   the reference count reaches zero. `tests/test_native.py` compares the layout with the layout of the installed
-   Numba. */
+/* The only part of Numba's runtime library that kernels need: memory with reference counts. A `Description` has the
+   same layout as Numba's MemInfo (numba/core/runtime/nrt.cpp). Compiled code updates the reference count itself, and
+   calls NRT_MemInfo_call_dtor when the reference count reaches zero. `tests/test_native.py` compares the layout with
+   the layout in the installed version of Numba. */
 
 #include "system.h"
 
@@ -17,8 +17,8 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Number of descriptions that were allocated and not yet freed. The number is zero while no kernel runs, see
-   `tests/test_native.py`. */
+/* Number of descriptions that have been allocated but not yet freed. `tests/test_native.py` checks that this number is
+   zero while no kernel runs. */
 EXPORTED size_t loewner_held;
 
 static void give_back(Description *description)
@@ -44,10 +44,10 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 
 void NRT_MemInfo_call_dtor(void *memory)
 {
-    give_back(memory); /* Kernels create no array with a destructor. */
+    give_back(memory); /* No destructor is called, because kernels create no arrays that have one. */
 }
 
-/* Free memory that Python has received and copied. */
+/* Release the memory of an array after Python has received and copied the array. */
 EXPORTED void loewner_release(void *memory)
 {
     Description *description = memory;

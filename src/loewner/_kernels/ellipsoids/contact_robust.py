@@ -7,8 +7,9 @@ from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.ellipsoids.contact import contact
 from loewner._kernels.linalg3 import apply, dot, matrix, shape_matrix
 
-# The polynomial coefficients of `contact` have errors of about tr(Q)³/det(Q) roundings. F is used if its relative error
-# is below TRUSTED_LOSS, unless F is so close to 1 that the error could change the answer.
+# The polynomial coefficients of `contact` have errors of about tr(Q)³/det(Q) roundings. The value of F from `contact`
+# is used if its relative error is at most TRUSTED_LOSS and it differs from 1 by more than GRAZING. Closer to 1, the
+# error could change the answer.
 TRUSTED_LOSS = 1e-10
 GRAZING = 1e-8
 
@@ -39,7 +40,7 @@ def contact_of_pair(F1, F2, r):
     P, Q = shape_matrix(F1), shape_matrix(F2)
     loss = max(_loss(P), _loss(Q))
     if loss <= TRUSTED_LOSS:
-        # Lengths in units of E1's size keep the cubes of the determinants within the range of doubles.
+        # Measure lengths in units of E1's size, so that the cubes of the determinants stay within the range of doubles.
         k = 1.0 / (P[0] + P[3] + P[5])
         h = math.sqrt(k)
         value, s = contact(

@@ -20,8 +20,8 @@ from loewner._kernels.elementary import arc_cosine, arc_tangent
 from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
 from loewner._kernels.simd.trig import sine_cosine
 
-# Lin-Han's own iteration converges linearly, at a rate set by the square of the axis ratio. Fairly round pairs take 5
-# to 30 steps. After PLAIN_STEPS steps, Newton's method takes over.
+# Number of steps of Lin and Han's own iteration, after which Newton's method takes over. The iteration converges
+# linearly, at a rate that depends on the square of the axis ratio. For fairly round ellipsoids, it takes 5 to 30 steps.
 PLAIN_STEPS = 64
 NEWTON_STEPS = 100
 EPS = 2.0**-52
@@ -113,7 +113,7 @@ def exit_of_ray(G, p, e):
     a, b, c = dot(v, v), dot(v, w), min(dot(w, w) - 1.0, 0.0)
     root = math.sqrt(b * b - a * c)
     if b > 0.0:
-        return -c / (b + root)  # The quotient equals the result below, but is free of cancellation.
+        return -c / (b + root)  # This quotient equals the one below, but is free of cancellation.
     return (root - b) / a
 
 
@@ -188,7 +188,8 @@ def touch(F1, G2, r):
     g0, g1, g2 = dot(m0, d), dot(m1, d), dot(m2, d)
 
     # The secular equation is |v(lam)| = 1 with v_i = g_i / (s_i + lam). From any lower bound, Newton's method for 1/|v|
-    # increases monotonically to the root. Each bound in the next two lines uses only a part of the sum.
+    # increases monotonically to the root. The next two lines compute such bounds: the first line keeps only one term of
+    # |v|², and the second line replaces every s_i by the largest one.
     lam = max(0.0, abs(g0) - s0, abs(g1) - s1, abs(g2) - s2)
     lam = max(lam, math.sqrt(g0 * g0 + g1 * g1 + g2 * g2) - max(s0, s1, s2))
     for _ in range(100):
@@ -197,7 +198,7 @@ def touch(F1, G2, r):
         length = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
         if length <= 1.0:
             if lam == 0.0:
-                return r, 0.0  # The center c2 is in E1.
+                return r, 0.0  # The center c2 lies in E1.
             break
         step = (length - 1.0) * length * length / (v0 * v0 * h0 + v1 * v1 * h1 + v2 * v2 * h2)
         lam += step
@@ -296,7 +297,8 @@ def lin_han(F1, G1, F2, G2, r, angle):
     iterations : int
     status : int
     """
-    # The radius of curvature at x is at least smin²|A x|, with A = GᵀG, so a ball of this radius fits inside at x.
+    # Let s be the smallest semi-axis of an ellipsoid, and A = GᵀG. The radius of curvature at x is at least s²|A x|, so
+    # a ball of this radius that touches the surface at x from inside lies in the ellipsoid.
     k1 = 1.0 / largest_eigenvalue(G1)
     k2 = 1.0 / largest_eigenvalue(G2)
     p1, p2 = (0.0, 0.0, 0.0), r
@@ -356,20 +358,20 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # The rounding errors of x2 - x1 are proportional to r and, through the direction of Fᵀn, to |F|²/h. These
-        # errors limit how finely angles can be resolved.
+        # The rounding error of x2 - x1 has a part proportional to |r| and, because the direction of Fᵀn is rounded, a
+        # part proportional to |F|²/h. This error limits how finely angles can be resolved.
         rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
         if steepness <= rounding or between(w, n) <= angle:
             if gap > 0.0:
                 return x1, x2, distance, iteration, SEPARATE
             if gap >= -rounding:
-                return x1, x1, 0.0, iteration, OVERLAP  # A pair within a rounding error of touching counts as touching.
+                return x1, x1, 0.0, iteration, OVERLAP  # Ellipsoids that touch up to rounding count as overlapping.
             break
         if iteration >= PLAIN_STEPS + NEWTON_STEPS:
             break
 
-        # Newton's method in the plane perpendicular to n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, where u is the unit
-        # vector of Fᵀn.
+        # Take a Newton step in the plane perpendicular to n, which the columns e1 and e2 of E span. In this plane,
+        # -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, where h = |Fᵀn| and u = Fᵀn/h.
         b11, b12, b22 = _curvature(F1, u1, h1, e1, e2)
         c11, c12, c22 = _curvature(F2, u2, h2, e1, e2)
         b11, b12, b22 = b11 + c11 + max(gap, 0.0), b12 + c12, b22 + c22 + max(gap, 0.0)
@@ -389,7 +391,8 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             if gain >= 1e-4 * t * slope:
                 moved = True
             elif gain >= -noise:
-                # Near the maximum, rounding hides the changes in g itself, so the slope of g decides.
+                # Near the maximum, rounding hides the change in g itself, so accept a step that clearly reduces the
+                # slope of g.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
                 moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness

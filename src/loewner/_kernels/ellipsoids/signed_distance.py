@@ -43,30 +43,32 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import maximum, movemask, select, sqrt
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Descents usually end after 5 steps; if the second derivative vanishes at the minimum, they take 25.
+# Maximum number of steps of a descent. A descent usually takes 5 steps, or 25 if the second derivative vanishes at the
+# minimum.
 MAX_STEPS = 80
-DAMPING_LIMIT = 1e3  # With a damping above DAMPING_LIMIT times the size, a step no longer moves the normal.
+DAMPING_LIMIT = 1e3  # Largest damping, relative to the size; with more damping, a step no longer moves the normal.
 
-MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4 sweeps.
-MAX_SECULAR = 60  # The secular equation usually takes 4 or 5 steps.
+MAX_SWEEPS = 12  # Maximum number of sweeps of Jacobi's method, which needs 3 or 4.
+MAX_SECULAR = 60  # Maximum number of Newton steps for the secular equation, which usually takes 4 or 5.
 
-# PROOF_GAP is the largest relative gap that the proof of a global minimum may leave. MAX_INTERVALS is the largest
-# number of intervals that this proof may examine. The rounding error of D itself is about 1e-15. Both constants are
-# choices, not bounds: they affect the reported gap.
+# Largest relative gap that the proof of a global minimum may leave, and largest number of intervals that the proof may
+# examine. For comparison, the rounding error of D itself is about 1e-15. The two constants are choices, not bounds;
+# they affect the reported gap.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 16.0  # In log r, each interval ends GROWTH times as far from the minimum as the previous one.
+GROWTH = 16.0  # Ratio of the distances, in log r, of successive intervals' far ends from the minimum.
 _STACK = 160
 
-# The proof by an inner ellipsoid requires that M - h s is positive definite by a margin. The margin is SPARE times h s,
-# plus PIVOT_ROUNDINGS roundings of the trace of M. The second term is about twice the rounding error of M's entries and
-# pivots. Both constants are choices, not bounds: no verdict depends on them.
+# The proof by an inner ellipsoid requires that M - h s is positive definite even after a margin is subtracted. The
+# margin is SPARE times h s, plus PIVOT_ROUNDINGS times the unit roundoff times the trace of M. The second term is about
+# twice the rounding error of the entries and pivots of M. Both constants are choices, not bounds; no verdict depends on
+# them.
 SPARE = 1e-3
 PIVOT_ROUNDINGS = 64.0
 
-MAX_PLAIN = 12  # Number of Newton steps for eight pairs at a time; the slowest pair usually needs 6 or 7.
+MAX_PLAIN = 12  # Maximum number of Newton steps for eight pairs; the slowest of them usually needs 6 or 7.
 
-STEEP = 1e-12  # A descent counts as stalled if its slope, relative to the size, is above STEEP.
+STEEP = 1e-12  # Largest slope, relative to the size, of a descent that has not stalled.
 MAX_RESTARTS = 20
 
 
@@ -150,7 +152,8 @@ def descend(FA, FB, c, n, size):
     for _ in range(MAX_STEPS):
         if slope <= rounding:
             break
-        # The step leads downward only if the least eigenvalue of the Hessian is positive.
+        # Raise the least eigenvalue of the Hessian if necessary: the step is sure to lead downward only if this
+        # eigenvalue is positive.
         mean = 0.5 * (h11 + h22)
         half = 0.5 * (h11 - h22)
         spread = np.sqrt(half * half + h12 * h12)
@@ -193,7 +196,8 @@ def _inner_shape(FA, FB, n):
     a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
     e, g = across(v)
     b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
-    # A rotation or reflection in O is still free: choose it so that it maximises a1 · b1 + a2 · b2.
+    # In O, a rotation or reflection of b1 and b2 within their plane is still free. Choose the one that maximises
+    # a1 · b1 + a2 · b2.
     one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
     three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
     mirrored = three * three + four * four > one * one + two * two
@@ -244,7 +248,8 @@ def descend_eight(FA, FB, c, n, size, wanted):
     for _ in range(MAX_PLAIN):
         if movemask(going) == 0:
             break
-        # The step leads downward only if the least eigenvalue of the Hessian is positive.
+        # Raise the least eigenvalue of the Hessian if necessary: the step is sure to lead downward only if this
+        # eigenvalue is positive.
         half = 0.5 * (h11 - h22)
         lowest = 0.5 * (h11 + h22) - sqrt(half * half + h12 * h12)
         lift = maximum(1e-3 * slope - lowest, 0.0)
@@ -340,7 +345,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
     m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
     g0, g1, g2 = m0 - least, m1 - least, m2 - least
     a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
-    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # Start where the largest term is 1, to the left of the root.
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # Start where the largest q is 1; this is not beyond the root.
     for _ in range(MAX_SECULAR):
         q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
         q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
@@ -348,7 +353,7 @@ def boundary_depth(m0, m1, m2, x, y, z):
         total = q0 * q0 + q1 * q1 + q2 * q2
         if not total > 1.0:
             break
-        # Take a Newton step for 1/√total = 1. The step never passes the root, because the function is concave.
+        # Take a Newton step for 1/√total = 1. The step never passes the root, because 1/√total is concave in t.
         falling = (
             (q0 * q0 / (g0 + t) if a0 > 0.0 else 0.0)
             + (q1 * q1 / (g1 + t) if a1 > 0.0 else 0.0)
@@ -463,7 +468,7 @@ def global_minimum(FA, FB, c, n, size):
     if is_least(FA, FB, n, h):
         return n, h, h, slope
 
-    # Branch and bound over r. The bound is tightest near the known minimum, so intervals farther away are larger.
+    # Branch and bound over r. The bound has to be tightest near the known minimum, so the intervals are smallest there.
     small_a, large_a = _axes(P, V)
     small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
@@ -496,7 +501,7 @@ def global_minimum(FA, FB, c, n, size):
         half = np.sqrt(one * two)
         bound = min(one_depth, two_depth)
         if tip < bound:
-            # For a point of the arc, the weight of the tip in the triangle is at most weight / (1 + weight).
+            # For any point of the arc, the barycentric weight of the tip is at most weight / (1 + weight).
             weight = 0.5 * (one + two) / half
             bound += weight / (1.0 + weight) * (tip - bound)
         if bound >= h - PROOF_GAP * size - _rounding(one, two, P, Q, h) or top + 2 > _STACK or looked >= MAX_INTERVALS:
@@ -539,7 +544,7 @@ def least_height(wide_a, FA, wide_b, FB, c, n, size):
     if wide_a and wide_b:
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
-        # The remaining problem has one minimum, or two that are mirror images of each other.
+        # For a ball and an ellipsoid, there is one minimum, or there are two that are mirror images of each other.
         P = shape_matrix(FA if wide_a else FB)
         _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
         n, h, slope = descend(FA, FB, c, n, size)

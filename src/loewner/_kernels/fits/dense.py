@@ -62,7 +62,7 @@ def cholesky(a, n):
         pivot = a[j, j]
         for k in range(j):
             pivot -= a[j, k] * a[j, k]
-        if not pivot > 0.0:  # The comparison also catches NaN.
+        if not pivot > 0.0:  # Written with `not`, the condition also holds for NaN.
             return False
         root = np.sqrt(pivot)
         a[j, j] = root

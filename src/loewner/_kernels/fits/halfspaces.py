@@ -87,7 +87,8 @@ def center_in(A, b, x, frame, shift, negligible):
             return 0
         if fastest <= negligible * -slowest:
             return UNBOUNDED
-        # Maximise Σ log(1 - t rate) along the step by Newton's method in one variable, strictly inside the range.
+        # Choose the factor t of the step that maximises Σ log(1 - t rate), by Newton's method in one variable. All
+        # logarithms must remain finite, so t stays below 1 / fastest.
         t = min(1.0, 0.9 / max(fastest, 1e-300))
         for _ in range(30):
             slope = 0.0
@@ -155,13 +156,13 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
                 value -= A[i, j] * center[j]
                 error += abs(A[i, j] * center[j])
             error *= (n + 2) * ROUNDING
-            lam[i] /= slack[i]  # Convert the multiplier from the scaled row to the unit row.
+            lam[i] /= slack[i]  # Convert the multiplier of the scaled row to the multiplier of the unit row.
             slack_low[i] = value - error
             slack[i] = value + error
         gap = inscribe(A, slack_low, slack, factor, lam)
         if gap <= tol:
             return 0, gap, iterations
-        # A poor start can cost digits, so the problem is solved again in the coordinates of the result.
+        # A poor starting point can cost digits, so solve the problem again in the coordinates of the result.
         for j in range(n):
             x[j] = center[j]
             for k in range(n):

@@ -27,15 +27,15 @@ from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_WIDTH
 
-# With MANY or more vertices, a map is faster than trying every vertex for each face (measured in
-# docs/design/many_points.md).
+# Largest number of vertices for which every vertex is tried for each face. For more vertices, a map is faster (measured
+# in docs/design/many_points.md).
 MANY = 256
 
-# The surface of a cube has SIDE² cells on each face. Directions in one cell form a sector, and each round adds one face
-# from each sector.
+# Number of cells along each edge of a cube; each face of the cube is divided into SIDE² cells. The directions through a
+# cell form a sector. In each round, at most one face of the polytope per sector joins the working set.
 SIDE = 4
 SECTORS = 6 * SIDE * SIDE
-# Largest number of rounds; six are typical. After the last round, all faces are used.
+# Maximum number of rounds; six are typical. If these rounds are not enough, the problem is solved with all faces.
 MAX_ROUNDS = 40
 
 

@@ -45,16 +45,17 @@ from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
 ROUNDING = 2.0**-53  # The unit roundoff of float64.
 
-# Largest fraction of the way to the boundary that a step takes; going closer would make s/u too large to be useful.
+# Largest fraction of the way to the boundary that a step covers; closer to it, s/u would be too large to be useful.
 STEP_CAP = 0.9999
-# Lower limit on the centring parameter, below which the products u s are rounding noise.
+# Least value of the centring parameter; below it, the products u s would be mere rounding noise.
 CENTRING_FLOOR = 1e-15
 MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
-# The solver receives all points at once if there are at most DIRECT_LIMIT. From about 60 points on, an active set is
-# faster.
+# In n dimensions, the solver receives all points at once if there are at most DIRECT_LIMIT + 2 n² of them. From about
+# 60 points on, an active set is faster.
 DIRECT_LIMIT = 64
-# A point leaves the active set when its weight is below LIGHT and its squared radius below NEAR.
+# A point leaves the active set if its weight is at most LIGHT and its squared radius, in the coordinates in which the
+# current ellipsoid is the unit ball, is at most NEAR.
 LIGHT = 1e-6
 NEAR = 0.8
 
@@ -179,7 +180,8 @@ def _assemble(place, X, n, u):
     """
     m, N, work = place.counts.m, place.counts.n, _memory_of(place)
     L, W, V, w = work.L, work.W, work.V, work.w
-    # M = Σ u q qᵀ = L Lᵀ with q = (1, x): the first column holds the mean, the other columns the covariance.
+    # Factor M = Σ u q qᵀ = L Lᵀ, where q = (1, x). Up to the factor √(Σ u), the first column of L holds the mean, and
+    # the other columns hold the Cholesky factor of the covariance.
     for j in range(N):
         for k in range(j + 1):
             L[j, k] = 0.0
@@ -291,7 +293,7 @@ def spread_points(points, flatness, chosen, origin, frame):
     basis = np.zeros((n, n))
     differences = np.empty((n, n))
     direction = np.empty(n)
-    size = 0.0  # Largest coordinate; its rounding error affects every width.
+    size = 0.0  # Largest absolute value of a coordinate; its rounding error affects every width.
     widest = 0.0
     for j in range(n):
         # Take the coordinate axis that the basis covers least so far. Make this axis orthogonal to the basis in two
@@ -335,7 +337,7 @@ def spread_points(points, flatness, chosen, origin, frame):
         for k in range(n):
             norm += basis[j, k] * basis[j, k]
         widest = max(widest, np.sqrt(norm))
-        # Rounding alone can cause a width of up to 2 n roundings of the largest coordinate.
+        # Rounding alone can cause a width of up to 2 n times the rounding error of the largest coordinate.
         if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
             return FLAT, j, width, widest
         orthonormalise(basis[j], basis, j, n)
@@ -534,7 +536,7 @@ def fit_outer(points, tol, flatness, center, factor):
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    # The first rounds only look for the points that matter, so inaccurate solutions suffice.
+    # The first rounds only search for the points that matter, so inaccurate solutions are good enough.
     inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
     for _ in range(MAX_ROUNDS):
@@ -550,7 +552,8 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points with a squared radius up to exp(tol / n) cost at most half the tolerance; farther points join the set.
+        # Points with a squared radius up to exp(tol / n) use at most half of the tolerance. In each sector, the
+        # farthest of the other points joins the active set.
         reach = farthest_by_sector(points, center, factor, exponential(tol / n), far, far_at)
         fresh = 0
         for j in range(2 * n):

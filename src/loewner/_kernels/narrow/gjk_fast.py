@@ -24,30 +24,34 @@ from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 DECIDE_ROUNDS = 24
-MEASURE_ROUNDS = 64  # Hulls usually need six rounds, and at most twelve; curved pieces converge linearly.
+# Maximum number of rounds of `measure`. Polytopes usually need six rounds, and at most twelve; for curved pieces, the
+# search converges linearly.
+MEASURE_ROUNDS = 64
 
-# A support point that is already in the simplex ends the search. The bounds on the distance must then agree to within
-# LAST_GAP times the error of a height.
+# A support point that is already in the simplex ends the search. The result counts as the distance only if the bounds
+# on the distance then differ by at most LAST_GAP times the rounding error of a height.
 LAST_GAP = 16.0
 
-# If the squared sine at a corner of a triangle is below THIN, the triangle's normal is made orthogonal to the edges.
+# If the squared sine of a triangle's angle at the newest point is below THIN, the normal is made orthogonal to the two
+# edges at this point.
 THIN = 1e-4
 
-# For unit vectors, KEPT is the weight of the first direction in the second one. Values from 0.5 to 0.8 work equally
-# well.
+# The second direction of a search is a weighted mean of two unit vectors: the first direction, which has the weight
+# KEPT, and the direction of the first point. Weights from 0.5 to 0.8 work equally well.
 KEPT = 0.7
 
-# Error of a determinant of three points, and of the sum of four determinants, in units of the roundoff times the third
-# power of the largest sum of coordinates.
+# Error of a determinant of three points, and error of the sum of four determinants, as multiples of u L³. Here, u is
+# the unit roundoff, and L is the largest sum of a point's absolute coordinates.
 VOLUME_ERROR = 64.0  # certified.md B16, B17
 
-# The scratch array has columns for the placed vertices of both pieces, and six numbers for each round of `measure`.
+# The scratch array begins with PLACED columns for the placed vertices of both pieces. From the index _PATH on, it has
+# six numbers for each round of `measure`: the two support points.
 PLACED = 2 * LARGE
 _PATH = 3 * PLACED
 
 ENTRIES = _PATH + 6 * MEASURE_ROUNDS
 
-# Memory of a search: the vertices and the simplex, and the result of `measure`.
+# Memory of a search: the scratch array, and the result of `measure`.
 MEMORY = Arena(vertices=floats(ENTRIES), result=floats(9))
 vertices_of, result_of = MEMORY.accessors("vertices result")
 
@@ -129,7 +133,7 @@ def decide(A, B, shift, W, ends, n, error):
     first = n
     p = negated(n)
     k = 0
-    # The simplex consists of the newest point a and of up to three older points b, c, e.
+    # The simplex consists of the newest point a and up to three older points: b, c and e.
     b = c = e = (0.0, 0.0, 0.0)
     largest = 0.0
     for _ in range(DECIDE_ROUNDS):
@@ -149,8 +153,9 @@ def decide(A, B, shift, W, ends, n, error):
             p = kept * p[0] + rest * a[0], kept * p[1] + rest * a[1], kept * p[2] + rest * a[2]
             continue
         if k == 3:
-            # Find the faces at the new point beyond which the origin lies; b, c, e run counter-clockwise seen from the
-            # new point.
+            # Seen from the new point, b, c and e are in counter-clockwise order. The determinants f, g and h are
+            # positive if the origin lies beyond the face that the new point forms with b and c, with c and e, and with
+            # e and b, respectively.
             doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
             ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
             face_bc = cross(ab, ac)
@@ -159,8 +164,8 @@ def decide(A, B, shift, W, ends, n, error):
             h = -dot(cross(ae, ab), a)
             if f <= 0.0 and g <= 0.0 and h <= 0.0:
                 volume = abs(dot(face_bc, ae))
-                # The base is defined by f + g + h + base = -volume. The origin is inside if the base and the three
-                # determinants are all negative beyond their rounding errors.
+                # The fourth determinant, for the base b, c, e, follows from f + g + h + base = -volume. The origin is
+                # inside if all four determinants are negative beyond their rounding errors.
                 if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
                     return TOUCHING, negated(p), k
                 return UNSETTLED, negated(p), k
@@ -192,8 +197,8 @@ def decide(A, B, shift, W, ends, n, error):
                     c = b
                 b = a
             else:
-                # The origin is inside the prism over the triangle: keep the triangle, ordered so that a, b, c run
-                # counter-clockwise seen from the origin.
+                # The origin is inside the prism over the triangle. Keep the triangle, and order its points so that they
+                # are counter-clockwise when seen from the origin.
                 k = 3
                 if dot(normal, a) <= 0.0:
                     p = negated(normal)
@@ -223,7 +228,7 @@ def _triangle(a, p, q):
     u, w = minus(p, a), minus(q, a)
     along_p, along_q = dot(a, u), dot(a, w)
     n, across_p, across_q = cross(u, w), cross(a, u), cross(a, w)
-    # Barycentric coordinates of the foot of the origin, times the square of n.
+    # Barycentric coordinates of the origin's projection onto the plane of the triangle, times |n|².
     of_q = dot(n, across_p)
     of_p = -dot(n, across_q)
     if of_p > 0.0 and of_q > 0.0:
@@ -283,7 +288,7 @@ def measuring(supports):
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
-        # The simplex is b, c, e (the newest point first), found in the rounds from_b, from_c and from_e.
+        # Points of the simplex, the newest one first, and the rounds in which they were added.
         b = c = e = (0.0, 0.0, 0.0)
         from_b = from_c = from_e = 0
         largest = 0.0
@@ -293,8 +298,8 @@ def measuring(supports):
         for r in range(MEASURE_ROUNDS):
             o = p
             if r == 1:
-                # The first direction is already good, and the direction of the first point is poor. A direction between
-                # them saves a round.
+                # The first direction is already good, whereas the direction of the first point is poor. Searching along
+                # a direction between them saves a round.
                 o = (
                     KEPT * first[0] + (1.0 - KEPT) * p[0],
                     KEPT * first[1] + (1.0 - KEPT) * p[1],
@@ -309,7 +314,7 @@ def measuring(supports):
             closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
             if r == 1:
                 if closed:
-                    continue  # The point is no nearer, and `plane` is not a bound for this direction.
+                    continue  # The new point is no nearer, and `plane` is no bound, because o differs from p.
             else:
                 if plane - error > lower:
                     lower = plane - error
@@ -336,7 +341,7 @@ def measuring(supports):
                 if k == 3:
                     ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
                     face_bc = cross(ab, ac)
-                    # If `beyond_e` is positive, the origin lies beyond the face of b, c and the new point, opposite e.
+                    # If `beyond_e` is positive, the origin lies beyond the face opposite e.
                     volume = dot(face_bc, ae)
                     sign = np.copysign(1.0, volume)
                     beyond_e = sign * dot(face_bc, a)
@@ -345,8 +350,8 @@ def measuring(supports):
                     count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                        # The base, -|volume| minus the other three products, must also be negative beyond its rounding
-                        # error, because the sign of the volume is noise for flat tetrahedra.
+                        # The determinant of the base must also be negative beyond its rounding error, because rounding
+                        # decides the sign of the volume if the tetrahedron is flat.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = OVERLAPPING

@@ -34,8 +34,8 @@ def arena(capacity: int) -> Arena:
     return Arena(PairList, **{name: integers(capacity) for name in PairList._fields})
 
 
-# Indices are unsigned, because a signed index might count from the end, and the check for negative indices would keep
-# loops from being vectorised.
+# The index is unsigned. A signed index could be negative and count from the end of the array; the check for this would
+# prevent loops from being vectorised.
 @inline
 def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):
     """Write entry `at`."""

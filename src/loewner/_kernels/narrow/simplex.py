@@ -16,8 +16,8 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import along, cross, dot, minus
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
-# Error of each of the two volumes that `_beyond` compares, in units of the roundoff times the third power of the
-# largest sum of coordinates.
+# Error of each of the two volumes that `_beyond` compares, as a multiple of u L³. Here, u is the unit roundoff, and L
+# is the largest sum of a point's absolute coordinates.
 FACE_ERROR = 64.0  # certified.md B15
 
 
@@ -50,7 +50,7 @@ def segment_weight(a, b):
     squared = dot(d, d)
     if squared <= 0.0:
         return 0.0
-    # Measure from the nearer end, where the product loses no digits.
+    # Compute the weight from the end nearer to the origin, where the dot product loses no digits.
     t = -dot(a, d) / squared if dot(a, a) <= dot(b, b) else 1.0 - dot(b, d) / squared
     return min(1.0, max(0.0, t))
 
@@ -68,8 +68,9 @@ def triangle_weights(a, b, c):
     d5, d6 = -dot(ab, c), -dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
-    # The normal and one edge determine each edge region and the face region. On curved pieces, triangles become tiny
-    # but stay away from the origin. Each product here is therefore chosen to have a small factor.
+    # The signs of three weights, each computed from the normal and one edge, separate the regions of the edges from the
+    # region of the face. On curved pieces, triangles become tiny but stay away from the origin. Each product here is
+    # therefore chosen to have a small factor.
     bc, n = minus(c, b), cross(ab, ac)
     weight_c = dot(n, cross(a, ab))
     if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
@@ -85,7 +86,7 @@ def triangle_weights(a, b, c):
         return 0.0, 1.0 - t, t
     total = weight_a + weight_b + weight_c
     if not (total > 0.0 and weight_a >= 0.0 and weight_b >= 0.0 and weight_c >= 0.0):
-        # If a triangle is too thin to have an accurate normal, the best of its edges serves as well.
+        # The triangle is too thin to have an accurate normal. The nearest point of its edges is then just as good.
         return _best_edge(a, b, c)
     return weight_a / total, weight_b / total, weight_c / total
 
@@ -256,8 +257,8 @@ def direction(S, k, v, d):
         sign = 1.0 if side >= 0.0 else -1.0
         d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
         _unit(d)
-        # The normal of a thin triangle is only roughly perpendicular to the edges. Correct the normal along the longer
-        # edge last.
+        # The computed normal of a thin triangle is only roughly perpendicular to the edges. Remove its components along
+        # two edges, the longer edge last.
         if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
             _without(d, wx, wy, wz)
             _without(d, ux, uy, uz)

@@ -42,14 +42,16 @@ def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, a
         w = minus(v2, v1)
         e = (w[0] / L, w[1] / L, w[2] / L)
         back = (-e[0], -e[1], -e[2])
-        # Places on the line from v1 (at 0) to v2 (at L) at which outer ellipsoids and polyhedra end or begin.
+        # Positions on the line from v1 (at 0) to v2 (at L): the outer ellipsoid and the polyhedron of body 1 end at
+        # outer_1 and face_1; the outer ellipsoid and the polyhedron of body 2 begin at outer_2 and face_2.
         outer_1 = near.exit_of_ray(near.inverse(matrix(F1o[k])), minus(v1, offset(c1o, k, c1i)), e)
         outer_2 = L - near.exit_of_ray(near.inverse(matrix(F2o[k])), minus(v2, offset(c2o, k, c1i)), back)
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(faces_1, start_1[k], start_1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(faces_2, start_2[k], start_2[k + 1], origin, v2, back)
-        # This is the negation of the printed test for "the enclosing ellipsoids overlap". That test also fails if the
-        # polyhedra overlap along the line, although they then certainly collide; the paper corrects this flaw.
+        # This condition is the negation of the test that the paper prints for "the enclosing ellipsoids overlap". The
+        # printed test also fails if the polyhedra overlap along the line, although they then certainly collide. The
+        # paper corrects this flaw.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
             collides[k], ambiguous[k] = 0, 0
             continue

@@ -88,7 +88,7 @@ def prefetch_points(layout, points, piece):
             prefetch(points, at)
 
 
-SINGLES = 2 * LINE  # A cache line has SINGLES numbers of single precision.
+SINGLES = 2 * LINE  # Number of single-precision numbers in a cache line.
 FEW_LINES = 5
 
 
@@ -98,10 +98,10 @@ def _asking(prefetch):
     @inline
     def ask(layout, vertices, piece):
         """Prefetch the vertices of a small polytope in single precision."""
-        piece = np.uint64(piece)  # The index is unsigned, because a signed index could count from the end.
+        piece = np.uint64(piece)  # An unsigned index cannot count from the end of an array.
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
-            # Prefetch three blocks without a branch, as `support.extent` reads them.
+            # Prefetch three blocks without a branch, because `support.extent` also reads three blocks without a branch.
             for line in range(FEW_LINES):
                 prefetch(vertices, min(first + line * SINGLES, last))
             for at in range(first + FEW_LINES * SINGLES, last, SINGLES):
@@ -111,7 +111,8 @@ def _asking(prefetch):
     return ask
 
 
-# Prefetch either shortly before use, or well in advance into the second-level cache, which has room for more requests.
+# Call the first function shortly before the vertices are used. Call the second function well in advance: it prefetches
+# into the second-level cache, which has room for more requests.
 prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(prefetch_far)
 
 
@@ -130,13 +131,13 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    if kind == CONE:  # Compare the rim of the cone's base with its apex: |xy| - z with z.
+    if kind == CONE:  # Along the direction, the height of the rim is |xy| - z, and the height of the apex is z.
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         if z > length - z:
             return 0.0, 0.0, 1.0
         return x / length, y / length, -1.0
-    return np.nan, np.nan, np.nan  # A kind without a branch above gives NaN, so nothing is proven.
+    return np.nan, np.nan, np.nan  # For a kind without a branch above, the result is NaN, so that nothing is proven.
 
 
 @inline

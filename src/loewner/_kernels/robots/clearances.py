@@ -56,20 +56,21 @@ from loewner._kernels.tolerances import UP
 
 FAR = 40.0
 
-# Allowance for bounds that exclude pairs, relative to the bounds and to the lengths from which they are computed;
-# rounding errors are far smaller.
+# Allowance for rounding in the bounds that exclude pairs, relative to the bounds and to the lengths from which they are
+# computed. The rounding errors are far smaller.
 CAREFUL = 1e-9
 
-RUN = 1024  # A run has up to RUN pairs of pieces.
+RUN = 1024  # Maximum number of pairs of pieces in a run.
 
-# An ellipsoid takes _ROW numbers: its center, its shape matrix, and the sum of the lengths that determine both.
+# Number of entries for an ellipsoid: its center, its shape matrix, and the sum of the lengths that determine both.
 _ROW = 10
-# A body takes _BODY numbers: the middle of its ellipsoids' centers, the largest distance of a center from this middle,
-# the extreme semi-axes, and the reach.
+# Number of entries for a body: the mean of its ellipsoids' centers, the largest distance of a center from this mean,
+# the largest and the smallest semi-axis, and the reach.
 _BODY = 7
-_MIDDLE = 4  # A body takes _MIDDLE vectors: this middle in the world, and the sum of the lengths that determine it.
-_ENTRY = 2  # A pair of pieces in a run takes _ENTRY vectors: the gap, and the s at the maximum of F.
-_WHICH = 4  # A pair of pieces takes _WHICH integers: its bodies and its pieces.
+# Number of vectors for a body: the mean of the centers in the world, and the sum of the lengths that determine it.
+_MIDDLE = 4
+_ENTRY = 2  # Number of vectors for a pair of pieces in a run: the gap, and the s at the maximum of F.
+_WHICH = 4  # Number of integers for a pair of pieces: the two bodies, and the two pieces.
 _LEAST, _SUM, _TOTALS = 0, LANES, 2 * LANES
 
 
@@ -201,7 +202,7 @@ def _stand(pack, problem_handle, memory, dof):
 def _place_links(problem, to, Q, first, last):
     """Compute the poses of the links at the configurations first .. last, at most eight."""
     for lane in range(LANES):
-        to.rows[lane] = min(first + lane, last)  # Repeats of the last configuration pad the rows.
+        to.rows[lane] = min(first + lane, last)  # The last configuration fills unused lanes.
     place_links(problem.tree, Q, to.rows, 0, to.links)
 
 
@@ -274,7 +275,7 @@ def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     for k in range(count):
         least = minimum(load(to.entries, k * (_ENTRY * LANES)), least)
     store(to.totals, _LEAST, least)
-    scale = decays((least - before) / softness)  # The previous sum is relative to the previous least gap.
+    scale = decays((least - before) / softness)  # The previous sum was relative to the previous least gap.
     total = load(to.totals, _SUM) * scale
     if gradient:
         for k in range(WRENCH * problem.tree.parent.size):
@@ -342,8 +343,8 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
-                    # Excluded pairs count towards the RUN pairs of a run. Runs then end at the same pairs, even though
-                    # the configurations of a group determine together which pairs are excluded.
+                    # Pairs that are excluded also count towards the RUN pairs of a run. Where a run ends therefore does
+                    # not depend on the configurations of a group, which together determine the excluded pairs.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
                         count, run = 0, passed // RUN
@@ -366,7 +367,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
-            # The result is at most the least gap: the sum contains a term of 1, so its logarithm is not negative.
+            # The bound is at most the least gap: a term of the sum is 1, so the logarithm of the sum is not negative.
             lower[first + lane] = to.totals[_LEAST + lane] - softness * logarithm(total)
             if gradient:
                 for k in range(dof):

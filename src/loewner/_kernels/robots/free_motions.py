@@ -14,11 +14,12 @@ from loewner._kernels.robots.lines import keeps_axis
 from loewner._kernels.robots.motions import STEPS_LEFT, certified, make_ready
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
-# Orientations count as half a turn apart if the cosine of half the angle between them is at most NEARLY_HALF_TURN,
-# because rounding then decides the direction of `Robot.between`.
+# Two orientations count as half a turn apart if the cosine of half the angle between them is at most NEARLY_HALF_TURN.
+# In this case, rounding decides in which direction `Robot.between` turns.
 NEARLY_HALF_TURN = 1e-9
 
-# Constants of splitmix64, which passes the usual tests of randomness and has one word of state.
+# Constants of the random number generator splitmix64, which passes the usual tests of randomness. Its state is a single
+# 64-bit word.
 _GAMMA, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 

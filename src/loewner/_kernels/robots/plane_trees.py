@@ -23,20 +23,20 @@ from loewner._kernels.simd.memory import held
 from loewner._kernels.simd.vectors import LANES, broadcast, entry_at_highest, load, numbers_from, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# The first line lists the columns of clusters. Columns of pieces: the kind, then the radius, the center and the nine
-# numbers of the factor.
+# The first line lists the columns of a cluster. The second line lists the columns of a piece at which its radius, its
+# center and the nine numbers of its factor begin; column 0 contains its kind.
 FIRST, LAST, LEFT_HALF, RIGHT_HALF, BEGIN, END, CURVED = 0, 1, 2, 3, 4, 5, 6
 RADIUS, CENTER, FACTOR = 1, 2, 5
 
-# Columns of boxes: the center, the half-edges, and a point inside the pieces.
+# Columns of a box at which its half-edges and a point inside the pieces begin; the first three columns are its center.
 HALF, INSIDE = 3, 6
 
-# Columns of bodies: the link in the model, the link of the robot with the same pose, and the cluster of all pieces of
-# the body.
+# Columns of a body: its link in the model, the link of the robot with the same pose, and the cluster of all its pieces.
 LINK, PLACED_BY, ROOT = 0, 1, 2
 
-# Columns of joints: how they move, the norm of a sliding joint's axis vector, rotation, translation and unit axis. The
-# integer columns are the link above, and the number of links above. The columns of speeds on a motion come last.
+# Value of the column MOVES for joints that turn. Columns of a joint: how it moves, the norm of its axis vector if it
+# slides, its rotation, its translation and its unit axis. Integer columns of a link: the link above it, and the number
+# of links above it. The last line lists the columns of a joint's `speeds` on a motion.
 TURNS = 1.0
 MOVES, LENGTH, TURN, SHIFT, AXIS = 0, 1, 2, 11, 14
 ABOVE, DEPTH = 0, 1
@@ -45,37 +45,39 @@ RATE, BEND, OFF, FAR = 0, 1, 2, 3
 # Tokens of the trees.
 HALVED, FIRST_DIVIDED, SECOND_DIVIDED, SAME, AXES, NORMAL, DOUBLES = 0, 1, 2, 3, 4, 16, 18
 
-# DEEPEST is the largest depth of a tree, which limits the digits of an interval's ends. Checkers allow 64 levels.
+# Largest depth of a tree, which limits the number of digits of an interval's ends. Checkers allow a depth of 64.
 DEEPEST = 40
 
-# The required gaps are enlarged by the factor SHARE, to leave room for checkers that compute with intervals.
+# Factor that enlarges the required gaps, to leave room for checkers that compute with intervals.
 SHARE = 1.0 + 2e-9
 
-# The entries of a normal are rounded to integers of at most LARGEST. Rounding turns the normal. Therefore, SCALES
-# scales are tried, and the best one is kept. On level DEEP and below it, and for bodies that do not move, the normal is
-# also tried in doubles, without rounding.
+# The entries of a normal are rounded to integers whose absolute values are at most LARGEST. Since rounding turns the
+# normal, SCALES multiples of the normal are rounded, and the best result is kept. At depth DEEP and below, and for
+# bodies that do not move, the normal is also tried in doubles, without rounding.
 LARGEST, SCALES, DEEP = 32767.0, 3, 10
 
-# Boxes are compared first. The boxes must be apart by BOX_ROOM times the model's size, because poses may bend slightly.
+# Amount by which the gaps of boxes, which are compared first, must exceed the required gaps, relative to the size of
+# the model. It allows for poses that are not exact rotations.
 BOX_ROOM = 4e-6
 
-# A search ends once gaps exceed the required gaps by ROUNDED times the model's size, so that a gap remains after the
-# normal is rounded.
+# Amount by which gaps must exceed the required gaps before a search ends early, relative to the size of the model. This
+# leaves room for the rounding of the normal.
 ROUNDED = 4e-5
 
-# If comparing the boxes proves nothing, the BEST_AXES axes with the best scores are tried.
+# Number of axes that are tried, best scores first, if the comparison of boxes proves nothing.
 BEST_AXES = 3
 
-# Poses of links are stored at multiples of 1 / KEPT. At other times, poses are stored only for the middle of one
-# interval on each level. This suffices because the search is depth first: both halves of an interval are finished
-# before another interval on the same level is cut.
+# Poses of links at multiples of 1 / KEPT are kept for the whole motion. For all other times, the poses at the middle of
+# only one interval are stored at each level. This is enough because the search is depth first: both halves of an
+# interval are finished before another interval at the same level is halved.
 LEVELS = 6
 KEPT = 1 << LEVELS
 SLOTS = KEPT + 1 + DEEPEST
 
-# In a pair's row of `state`, RECENT is the column of the side and the normal that the last search found. NAMED is the
-# column of the token and the plane that were written last. GIVEN is the first column of given sides and normals, which
-# take EACH columns per normal. Given normals help where pieces touch or overlap, because GJK finds no normal there.
+# First columns in a pair's row of `state`: RECENT for the side and the normal of the last successful search, NAMED for
+# the token and the normal that were written last, and GIVEN for the normals that the caller provides. Each normal from
+# the caller takes EACH columns: for its side, and for the normal itself. These normals help where pieces touch or
+# overlap, because GJK finds no normal there.
 RECENT, NAMED, GIVEN, EACH = 0, 4, 8, 4
 
 
@@ -319,7 +321,7 @@ def _bends(model, speeds, lower, upper, chain, levers):
         if k < up:
             c = image(F, t, c)
     curvature, deviation, turned = 0.0, 0.0, 0.0
-    for k in range(count - 1, -1, -1):  # Go from the lower body to the upper body.
+    for k in range(count - 1, -1, -1):  # From the lower body to the upper body.
         j = chain[k]
         rate = speeds[j, RATE]
         squares = 2.0 * rate * turned + speeds[j, BEND]
@@ -346,7 +348,7 @@ def _place(tree, course, times, slots, count, frames, memory):
         t = times[min(lane, count - 1)]
         for k in range(dof):
             value, share = 0.0, 1.0
-            for p in range(degree + 1):  # The factor `share` runs through the binomial coefficients in order.
+            for p in range(degree + 1):  # In each round, `share` is the next binomial coefficient.
                 value += share * t**p * (1.0 - t) ** (degree - p) * course[p, k]
                 share = share * (degree - p) / (p + 1)
             Q[lane, k] = value
@@ -540,7 +542,8 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
                 state[row, RECENT] = side
                 return (DOUBLES if doubles else NORMAL) + side, N, spare, False
             spare = max(spare[0], first - keep), max(spare[1], last - keep)
-    # No plane was found for the interval, but a plane may exist at each end. Single pieces are not divided.
+    # No plane was found for the interval, but a plane may exist at each end. For two single pieces, which cannot be
+    # divided, this matters only at depth DEEP and below, or if the bodies do not move.
     if not (deep or _several(model, clusters)):
         return -1, old, spare, False
     side = 0 if pair.deviation[0] <= pair.deviation[1] else 1
@@ -549,7 +552,7 @@ def _search(model, pair, clusters, sides, need, limits, deep, state, spare, memo
     for end in range(2):
         if spare[end] > limits.room:
             continue
-        # The first pose is the pose at this end.
+        # Both poses are the pose at this end; `_direction` uses only the first one.
         poses = ((turns[end], turns[end]), (shifts[end], shifts[end]))
         near, n = _direction(
             model, (clusters[side], clusters[1 - side]), poses, 1, shifts[end], keep - limits.of_boxes,
@@ -587,7 +590,7 @@ def _settled(model, pair, clusters, sides, width, limits, deep, still, state, sc
         SHARE * (pair.margin + pair.deviation[1] + pair.curvature[1] * square),
     )
     if not deep:
-        # No gap is larger than the distance between any point of one body and any point of the other.
+        # No gap is larger than the distance between a point of one cluster and a point of the other cluster.
         p, q = _three(model.boxes, clusters[0], INSIDE), _three(model.boxes, clusters[1], INSIDE)
         first = minus(image(sides.turns[0][0], sides.shifts[0][0], q), p)
         last = minus(image(sides.turns[0][1], sides.shifts[0][1], q), p)
@@ -700,7 +703,7 @@ def plane_trees(handle, tree_handle, course, speeds, room, state, tokens, normal
                 middle = first
                 if token == HALVED:
                     middle = _slot_between(low, high, level, tree, course, placed_slots, frames, scratch)
-                for part in range(1, -1, -1):  # The first part is pushed last, so that it is taken next.
+                for part in range(1, -1, -1):  # The first part is pushed last, so that it is processed first.
                     ends[count, 0], ends[count, 1] = low, high
                     stack[count, 0], stack[count, 1] = clusters
                     stack[count, 2], stack[count, 3] = first, last

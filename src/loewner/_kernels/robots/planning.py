@@ -38,15 +38,16 @@ from loewner._kernels.robots.lines import bring_back
 from loewner._kernels.simd.memory import floats_at, held, integers_at, reader, record_kind
 from loewner._kernels.simd.vectors import rounded_product
 
-# The longest motion of a tree (the range), as a fraction of the diagonal of the limits: 1 rad for a typical arm.
+# Largest length of a motion in a tree (the range), as a fraction of the diagonal of the box of joint limits. For a
+# typical arm, this is 1 rad.
 SHARE = 1 / 12
 
-# FIRST_DOMAIN is the radius of a node's dynamic domain, in units of the range, after the first failure of a motion from
-# the node. LEAST_DOMAIN is the least radius. A failure reduces the radius by the fraction CHANGE, and a success
-# enlarges it.
+# Radius of a node's dynamic domain after the first failure of a motion from the node, and the smallest radius, both in
+# units of the range. Each later failure reduces the radius by the fraction CHANGE, and each success enlarges it by this
+# fraction.
 FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
 
-# Largest number of steps by which a tree is led towards the other tree before the next draw.
+# Maximum number of steps by which a tree grows towards the other tree before the next configuration is drawn.
 MOST_STEPS = 64
 
 TURN = 2.0 * np.pi
@@ -279,7 +280,7 @@ def _lead(work, tree, last):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(search, trees.nodes[other], state[STARTS + other], first, trees.squares)
-    # If squares overflow, the share is NaN, and the trees do not meet, as if they were far apart.
+    # If squares overflow, `share` is NaN, and the code below treats the trees as far apart, so they do not meet.
     share = distance / reach[STEP]
     steps = np.int64(np.ceil(max(share, 1.0))) if share <= MOST_STEPS else MOST_STEPS + 1
     met = steps <= MOST_STEPS
@@ -378,7 +379,7 @@ def connect_trees(search, most):
             outcome = FULL
         else:
             state[ITERATION] += 1
-            # Before anything is sampled, try the straight path to the nearest goal.
+            # Before the first configuration is drawn, try the straight path to the nearest goal.
             outcome = _lead(work, 0, 0) if state[ITERATION] == 1 else _iterate(work, roots)
     held(samples)
     return outcome

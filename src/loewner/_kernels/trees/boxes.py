@@ -24,18 +24,20 @@ from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-ROWS = 6 * WIDE  # A group takes ROWS numbers.
-LEVELS = 22  # Because 8^22 > 2^63, no index needs more than LEVELS levels.
+ROWS = 6 * WIDE  # Number of entries of a group.
+LEVELS = 22  # Largest number of levels; no index needs more, because 8^22 > 2^63.
 
-# The curve has 2^20 steps along each axis; the size class takes the next four bits.
+# Binary logarithm of the number of steps of the curve along each axis. In a key, the size class takes the four bits
+# above the bits of all three axes.
 STEPS = np.uint64(20)
 SIZE_CLASSES = 16
-SIZE_RATIO = 0.25  # Ratio between the size limits of successive classes.
+SIZE_RATIO = 0.25  # Ratio of the size limits of successive size classes.
 
 DIGIT = np.uint64(11)  # Number of bits that the radix sort takes in each pass.
 PASSES = 6
 
-# MOST is the largest bound of a box. Boxes that pad a group start at infinity, so that they meet no box.
+# Lower bounds of a box are at least -MOST, and upper bounds are at most MOST. The boxes that pad a group start at
+# infinity, so that they meet no box.
 MOST = 1.7e308
 
 
@@ -219,7 +221,7 @@ def curve_order(lower, upper):
         code = np.uint64(0)
         for axis in range(3):
             step = (_middle(lower, upper, i, axis) - corner[axis]) * scale
-            # A NaN from an overflow compares false, and goes to the end of the curve.
+            # If an overflow causes a NaN, this comparison is false, and the box counts as at the end of the axis.
             code |= _spread(np.uint64(step if step < top else top)) << np.uint64(axis)
         keys[i] = key << (np.uint64(3) * STEPS) | code
     return _sorted_by(keys)
@@ -280,7 +282,7 @@ def box_tree(lower, upper, order):
         total += groups
         levels += 1
     boxes = np.empty(total * ROWS)
-    # The padding of the last group of a level meets no box.
+    # The boxes that pad the last group of a level meet no box.
     for at in range(0, total * ROWS, ROWS):
         for c in range(3 * WIDE):
             boxes[at + c] = np.inf
@@ -332,7 +334,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         return count
     lx, ly, lz, ux, uy, uz = _query(boxes, level_start[1] + leaf // WIDE, leaf % WIDE, margin)
     node = leaf
-    # Each later leaf descends from a node that follows `node` in the same group, on one of the levels.
+    # On one of the levels, each later leaf descends from a node that follows `node` in its group.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
