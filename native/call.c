@@ -12,7 +12,7 @@
 #include <string.h>
 
 #define MOST_SLOTS 96
-#define PREFIX "loewner_" /* Beginning of the name of every function in the library. */
+#define PREFIX "loewner_" /* Beginning of the name of every function that the extension calls. */
 
 /* -- types and objects --------------------------------------------------------------------------------------------- */
 

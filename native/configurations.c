@@ -1,4 +1,4 @@
-/* Queries for one configuration of a robot, and for one motion. These are the most frequent queries, so each is
+/* Queries for one configuration of a robot, and for one motion. These are the most frequent queries, so each is usually
    answered by a single call from Python. An object of the type `Configurations` holds the data that `robots.problem`
    prepared, and is replaced whenever these data change. */
 
@@ -104,7 +104,7 @@ static PyObject *fractions_of(PyObject *order, int64_t steps)
     return fractions;
 }
 
-/* Check the configurations of a motion, and return how many were checked: a negative number if there is a collision
+/* Check the configurations of a motion, and return how many were checked, as a negative number if there is a collision
    among the last ones. Return 0 if Python's general code has to answer. */
 static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
 {

@@ -5,7 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-/* The data of the arrays ONE_PAIR and NO_ROWS of `_settle.py`, and the identity pose. */
+/* The data of the arrays ONE_PAIR (the steps of a `Plan` of `queries/pairs.py` for one pair) and NO_ROWS (see
+   `_settle.py`), and the identity pose. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 

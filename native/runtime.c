@@ -17,8 +17,8 @@ typedef struct {
 
 EXPORTED const char loewner_build[] = LOEWNER_BUILD;
 
-/* Number of descriptions that have been allocated but not yet freed. `tests/test_native.py` checks that this number is
-   zero while no kernel runs. */
+/* Number of descriptions that have been allocated but not yet freed. The number is zero while no call of a kernel is in
+   progress; `tests/test_native.py` checks that calls leave it unchanged. */
 EXPORTED size_t loewner_held;
 
 static void give_back(Description *description)

@@ -1,7 +1,7 @@
 /* This file maps the files that `loewner/bodies/native_files.py` describes. A mapped file is not trusted: its checksum
    reveals damage, but anyone can compute a checksum for a forged file. Every size, index and number in the file is
-   therefore checked before a kernel uses it. If a check fails, the error message names the array or the part of the
-   file. */
+   therefore checked before a kernel uses it. If a check fails, the error message names the array, the part of the file,
+   or the fault. */
 
 #define _GNU_SOURCE
 #include "internal.h"

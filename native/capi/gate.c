@@ -14,8 +14,8 @@ typedef struct {
 } Known;
 
 /* A motion or a brake that could not be proven free: the tick at which it begins (-1 if there is none), the number of
-   targets on which it depends, and the pair and the reason of the failure. As long as the world stays the same, the
-   proof is not tried again. */
+   targets on which it depends, and the pair and the reason of the failure. As long as the world and these targets stay
+   the same, the proof is not tried again. */
 typedef struct {
     int64_t tick, needed, pair;
     int32_t reason;
@@ -264,9 +264,9 @@ static int find_ticks(const loewner_gate *gate, int64_t *from, int64_t *to)
 
 /* Return a tick of the last chunk, in the range from..to, that agrees with a measured state; -1 if no such tick is
    left. If the robot is slow, several ticks may agree, and each call returns the next one of them. The tick of the
-   present time comes first, even if no body moves; the other ticks follow in order of their distance from the measured
-   configuration. At the first call, `*off` and `tick` are -1; at every later call, they are the distance and the tick
-   from the previous call. */
+   present time comes first unless it is 0, even if no body moves; the other ticks follow in order of their distance
+   from the measured configuration. At the first call, `*off` and `tick` are -1; at every later call, they are the
+   distance and the tick from the previous call. */
 static int64_t next_tick(const loewner_gate *gate, const double *q, const double *dq, int64_t from, int64_t to,
                          double *off, int64_t tick)
 {
@@ -604,8 +604,8 @@ static loewner_status answer_with(loewner_gate *gate, int32_t state, int64_t ste
     return LOEWNER_OK;
 }
 
-/* Begin a new chunk at `q`; or, if the targets continue the last chunk, prove this chunk again from the last command.
-   If a pair is not free at the robot's position, write this pair to `proof`. */
+/* Begin a new chunk at `q`; or, if `goes_on`, drop the proofs of the chunk in `made`, which begins at a command of the
+   last chunk. If a pair is not free at the robot's position, write this pair to `proof`. */
 static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double *q, const double *dq,
                                   const double *targets, int64_t count, int64_t late, Proof *proof)
 {
@@ -637,8 +637,8 @@ static loewner_status begin_chunk(loewner_gate *gate, int goes_on, const double 
 }
 
 /* Accept the chunk in `made`, which becomes the last chunk. From now on, the bodies may only have the poses that their
-   present poses and bounds allow. If the chunk continues the previous one, the earlier bounds allow all these poses, so
-   the old proofs still hold. */
+   present poses and bounds allow. If the chunk keeps proofs of the previous one, the earlier bounds allow all these
+   poses, so the old proofs still hold. */
 static void adopt(loewner_gate *gate)
 {
     const Chunk made = gate->made;
@@ -684,7 +684,7 @@ static loewner_status judge(loewner_gate *gate, const double *q, const double *d
     answer->scale = proof.reason ? 0 : 1;
     int may_scale = proof.reason == LOEWNER_REASON_BRAKE ||
                     (proof.reason && proof.reason != LOEWNER_REASON_LIMITS && gate->checker->state.growing > 0);
-    /* Slower motions can help only if `may_scale` is true; otherwise, they would meet the same obstacle. */
+    /* If a proof failed and `may_scale` is false, slower motions would meet the same obstacle. */
     if (gate->wants_scale && may_scale && count > late)
         TRY(find_scale(gate, &proof, &answer->scale));
     if (!proof.reason || steps > 0) {

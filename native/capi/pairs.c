@@ -60,7 +60,7 @@ static loewner_status view(const loewner_side *side, size_t first, size_t n, con
    views. */
 #define PLAN(n, a, b) {(n), (a).step, (a).pose_step, (b).step, (b).pose_step}
 #define VIEWS(numbers, a, b)                                                                                           \
-    .plan = {numbers, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                    \
+    .plan = {numbers, 5, 1}, .rows = {no_rows, 2, 0}, .pack_a = (int64_t)&(a).pieces, .Ta = (a).poses,                 \
     .pack_b = (int64_t)&(b).pieces, .Tb = (b).poses
 
 loewner_status settle_all(const struct settle_range *asked, int *are_rigid)

@@ -9,7 +9,7 @@
 _Static_assert(CODE_FREE == LOEWNER_FREE && CODE_COLLIDING == LOEWNER_COLLIDING && CODE_AMBIGUOUS == LOEWNER_AMBIGUOUS,
                "verdicts have the numbers of codes.py");
 
-/* Arguments of kernels that pass the scene of a workspace (SCENE) or the tables for motions (MOTIONS). */
+/* Arguments that pass the scene of a workspace (SCENE) or the tables for motions (MOTIONS) to kernels. */
 #define SCENE(workspace)                                                                                               \
     .pack = (workspace)->pack, .problem_handle = (int64_t)&(workspace)->tables, .memory = (workspace)->memory
 #define MOTIONS(half)                                                                                                  \
@@ -25,7 +25,7 @@ loewner_status expect_pointer(const void *pointer, size_t n, const char *name)
 
 loewner_status check_count(size_t n, size_t doubles, const char *name)
 {
-    /* An array of `most` items would be larger than any address space. */
+    /* No address space has room for an array of more than `most` items. */
     const size_t most = ((size_t)1 << 56) / sizeof(double) / doubles;
     REQUIRE(n <= most, "%s: expected at most %zu, found %zu", name, most, n);
     return LOEWNER_OK;
@@ -320,7 +320,7 @@ loewner_status loewner_checker_clearance(const loewner_checker *checker, loewner
 
 /* -- motions ------------------------------------------------------------------------------------------------------- */
 
-/* Write the control points of the straight motion from a to b to `course`, shape (2, dof). */
+/* Write to `course`, shape (2, dof), the control points of the straight motion from a to b. */
 static void straight(const File *file, const double *a, const double *b, double *course)
 {
     size_t size = sizeof(double) * (size_t)file->dof;

@@ -336,7 +336,7 @@ static loewner_status assemble(const loewner_checker *checker, State *state)
     return LOEWNER_OK;
 }
 
-/* Apply all pending changes; the caller must hold the checker's lock. */
+/* Apply all pending changes; the caller must hold the checker's lock, unless no other thread can use the checker. */
 static loewner_status renew(loewner_checker *checker)
 {
     State *state = &checker->state;

@@ -133,7 +133,7 @@ class _Cache(NullCache):
     def _key(self, signature: Any, codegen: Any) -> str:
         """Name of a file: the kernel, and a hash of everything that determines its code."""
         triple, cpu, features = codegen.magic_tuple()
-        # A part has the same code for all processors that fuse products, and the same code for all that do not.
+        # A part has one code for all processors that can fuse products, and another code for all that cannot.
         target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
         made_of = MADE_WITH, self._form, repr(signature), target, _identity(self._kernel)
         module = self._kernel.__module__.removeprefix("loewner._kernels.")

@@ -29,7 +29,7 @@ FOLDER = _sources.cache_folder() / "kernels"
 KEPT, DAY = 30 * 86_400.0, 86_400.0
 
 # Modules on which any kernel may depend, even if it does not import them, because the types of a kernel's arguments
-# select vector operations from these modules.
+# select vector operations.
 ALWAYS = ("_numba", "_jit", "_parts", "_fused", "simd/memory", "simd/scalars", "simd/vectors")
 
 _IMPORT = re.compile(r"^ *(?:from|import) +loewner\._kernels([\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)

@@ -34,7 +34,7 @@ UNSURE = TIERS  # UNSURE is not a tier: `certificate.certify` returns it if a be
 # Faults of a pose.
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
-# Methods for finding the nearest points of two ellipsoids, and their possible outcomes.
+# Methods for finding the near points of two ellipsoids, and their possible outcomes.
 RIMON_BOYD, LIN_HAN, CENTER_LINE = 0, 1, 2
 SEPARATE, OVERLAP, UNCONVERGED = 0, 1, 2
 

@@ -65,7 +65,7 @@ LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
 BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
 
 # Columns of a placed link: its rotation (row by row), its translation, and bounds on the errors of both, as multiples
-# of the unit roundoff.
+# of SINGLE_ROUNDOFF.
 LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
 
 # For searches, a piece's int32 row holds its kind, its first vertex, and the index after its last vertex. The piece's

@@ -23,7 +23,7 @@ UP = 1.0 + 2.0**-22  # certified.md B8
 # computed.
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # certified.md B7, B48
 
-# Tolerances for the vertices of a face of a hull. A vertex may lie inside its own face by the sum of two terms:
+# Tolerances for the vertices of a face of a hull. A vertex may lie inside its own face by at most the sum of two terms:
 # FACE_WIDTH times the width of the piece along the normal, and FACE_ROUNDING times the error bound of the dot product.
 FACE_WIDTH = 1e-11
 FACE_ROUNDING = 64.0

@@ -20,8 +20,8 @@ ROWS = 8
 # point, and compares all candidates that hold this point.
 SEEN = 128
 
-# STEPS_EACH: maximum number of exchanges for each candidate that was chosen at first. WAITS: number of exchanges after
-# the last change of a candidate during which the candidate is dropped only if all others changed as recently.
+# STEPS_EACH: maximum number of exchanges for each candidate that was chosen at first. WAITS: number of exchanges, from
+# the last change of a candidate on, in which the candidate is exchanged again only if all others changed as recently.
 STEPS_EACH, WAITS = 50, 3
 
 # Stride with which successive exchanges choose among the missed points; a prime number.

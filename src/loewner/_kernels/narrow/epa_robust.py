@@ -97,7 +97,7 @@ def _face(S, corners, normals, offsets, f):
 @njit()
 def _first_tetrahedron(A, B, shift, n, S):
     """Write four support points that span a volume, the first two along n and -n, to rows 0..3 of S."""
-    # Pass the row numbers as entries of an array. Numba would compile the functions below once for each literal number.
+    # The row numbers are entries of an array, so they are not literals, which Numba treats as types of their own.
     rows = np.arange(5)
     _support(A, B, shift, n, S, rows[0])
     _support(A, B, shift, negated(n), S, rows[1])

@@ -58,8 +58,8 @@ LEAST_VOLUME = 1e-3
 ROUNDS = 4
 GROWTH = 1.02
 
-# Half the edge length, in the ellipsoid's metric, of the box in which a round searches for triangles and fits the next
-# ellipsoid.
+# Half the edge length, in the ellipsoid's metric, of the box in which a round fits the next ellipsoid. The round
+# searches for triangles in the ball around this box.
 REACH = 6.0
 
 # Maximum number of planes that a round adds before the first fit. A plane represents all triangles beyond it, and also

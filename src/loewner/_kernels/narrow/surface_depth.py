@@ -148,8 +148,8 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = epa_robust.penetration(S, B, shift, epa_robust.DEPTH_ACCURACY, work, own)
-                # If B's core is a point or a segment in the plane of the triangle, the Minkowski difference is flat,
-                # and no depth is proven.
+                # If B's core is a point, or a segment parallel to the plane of the triangle, the Minkowski difference
+                # is flat, and no depth is proven.
                 deep = epa_robust.proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = epa_fast.overlap_depth(S, B, n, faces, edges, own)

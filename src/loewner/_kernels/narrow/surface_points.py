@@ -149,7 +149,7 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
         beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
         behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
-        # The sum of the corners' distances along the axis, weighted with these areas, is the distance at which the
+        # The sum of the corners' distances along the axis, weighted with d0, d1 and d2, is the distance at which the
         # ray's line meets the triangle's plane, times twice the area of the triangle seen along the ray.
         where = d0 * w2 + d1 * w0 + d2 * w1
         doubtful = (limit * ahead + across * across * error) * 8.0

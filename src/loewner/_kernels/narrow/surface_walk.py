@@ -34,7 +34,7 @@ MIDDLES = 0.1
 STACK = 2 * LEVELS * WIDE  # Maximum number of entries of the stack: enough for two trees.
 # PLANES: number of the most recent planes that a search keeps. PLANE: number of values of a plane (normal, offset).
 PLANES, PLANE = 4, 4
-PARTING = 14  # Number of values of a plane that parts a surface from another one at two poses (`surface_swept`).
+PARTING = 14  # Number of values of a plane between triangles of two surfaces at two poses (`surface_swept`).
 ORIGIN = (0.0, 0.0, 0.0)
 
 TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))

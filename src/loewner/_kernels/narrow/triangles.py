@@ -16,11 +16,11 @@ from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # The error of a determinant of three differences of corners has two parts. One is at most CORNER_ERRORS times the error
-# of a corner times the sum of the products of any two lengths. The other is at most PRODUCT_ROUNDINGS times the product
-# of all three lengths. The length of a difference is the sum of its absolute coordinates.
+# of a corner times the sum of the three products of two lengths. The other is at most PRODUCT_ROUNDINGS times the
+# product of all three lengths. The length of a difference is the sum of its absolute coordinates.
 CORNER_ERRORS = 8.0  # certified.md B37
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # certified.md B38
-_LEAST = 1e-290  # Upper bound on products that underflow.
+_LEAST = 1e-290  # Upper bound on the error from products that underflow.
 
 
 @inline

@@ -63,7 +63,7 @@ SETTLED_CURVED = 1e-3
 
 NEVER = -1.0  # Tolerance with which no distance is settled.
 
-# Largest deviation of the vector between two witnesses from the depth times the normal, relative to the lengths
+# Largest allowed deviation of the vector between two witnesses from the depth times the normal, relative to the lengths
 # involved.
 WITNESSES = 1e-5
 
@@ -315,7 +315,7 @@ def _of_surfaces(A, B, lane, queue, known, searches):
         A, B, _column(queue.normal, lane), limit, searches.faces, searches.edges, searches.surfaces, searches.result
     )
     if value == np.inf and not known <= above:
-        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The search missed a distance below the ellipsoids' bound.
+        return Measured(np.inf, np.inf, NEVER, ra, rb)  # The ellipsoids prove a distance that the search missed.
     value = value - ra - rb
     if value < 0.0:  # Rounding must not make the returned depth larger than the true depth.
         value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)

@@ -50,7 +50,7 @@ UPWARD = 1.0 + STRETCH
 SMALLEST_TURN = 1e-15
 
 
-# The component of every control point of a quaternion along the first control point must be at least LEAST_NORM times
+# The component of every control point of a quaternion along the first control point must be more than LEAST_NORM times
 # the largest norm of a control point. Otherwise, the orientation might turn arbitrarily fast. If the condition holds,
 # any two quaternions of the course are less than 90° apart. For a part of the course, only this consequence is
 # required.

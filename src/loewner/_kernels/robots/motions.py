@@ -96,8 +96,9 @@ from loewner._kernels.trees.piece_tree import open_group, reach_of
 FIRST_OFF = 0.02
 MOST_BLOCKS = MOST_INTERVALS // 7
 
-# Distance that pairs must keep on a free motion, in rounding errors. It is slightly more than the distance at which
-# `collide` may report contact, so `collide` reports no contact at any configuration of a free motion.
+# Distance that pairs must keep in addition to their margins on a free motion, in rounding errors. It is slightly more
+# than the distance at which `collide` may report contact, so `collide` reports no contact at any configuration of a
+# free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
 # An unproven interval counts as AMBIGUOUS once its points move by no more than this fraction of the tolerance;
@@ -130,13 +131,14 @@ ANSWERS, ANSWER = 64, 5
 FIRST_PAIRS = 4
 
 # Two pieces are tested immediately, at the configuration at which they are nearest, if the centers of their ellipsoids
-# are then nearer to each other than DEEP times the distance at which the ellipsoids touch. Most such pieces collide.
+# are then nearer to each other than DEEP times the distance at which the ellipsoids touch. Both distances are measured
+# along the direction that `sweeps.near_piece` writes. Most such pieces collide.
 DEEP = 0.7
 
 PARTS = 8  # Number of parts into which a cut divides an interval.
 
-# Factors by which the work for triangles may grow: MORE after one cut, and MOST_MORE after two or more cuts, or if no
-# cut follows.
+# Factors by which the work for triangles may grow: MORE after two nested cuts, and MOST_MORE after three or more cuts,
+# or if no cut follows.
 MORE, MOST_MORE = 8, 64
 
 # Maximum number of nested cuts. A cut divides an interval's width by eight, and fractions of 1 have 53 bits, so after
@@ -264,7 +266,8 @@ MEMORY = Arena(
     strays=_RATES,  # Deviations of the joints, computed from `off`.
     # How far points of bodies may be off at the start [m], and how much this distance grows until the end.
     growth=floats(MOVING + STANDING, 2),
-    # For static bodies, the largest distance at the start and its growth; and whether any body may be off.
+    # For static bodies, the largest distance at the start, and how much the largest distance grows until the end; and
+    # whether any body may be off.
     most_growth=floats(3),
 )  # fmt: skip
 _times_of, _scratch_of, _relative_of, _waiting_of, _waiting_normals_of = MEMORY.accessors(

@@ -590,7 +590,7 @@ def _settled(model, pair, clusters, sides, width, limits, deep, still, state, sc
         SHARE * (pair.margin + pair.deviation[1] + pair.curvature[1] * square),
     )
     if not deep:
-        # No gap is larger than the distance between a point of one cluster and a point of the other cluster.
+        # No gap is larger than the distance between any point of one cluster and any point of the other cluster.
         p, q = _three(model.boxes, clusters[0], INSIDE), _three(model.boxes, clusters[1], INSIDE)
         first = minus(image(sides.turns[0][0], sides.shifts[0][0], q), p)
         last = minus(image(sides.turns[0][1], sides.shifts[0][1], q), p)

@@ -37,7 +37,8 @@ SKIP_EVERY = 32
 LEAST_SIZE, MOST_SIZE = 1e-4, 1.0
 LARGER, SMALLER = 1.5, 0.9
 
-# Minimum relative gain of a step: it must lower the cost of the motions that it changes by more than this fraction.
+# Minimum relative gain of a step that moves a corner or straightens a joint: it must lower the cost of the motions that
+# it changes by more than this fraction.
 GAIN = 1e-9
 
 

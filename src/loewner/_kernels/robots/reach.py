@@ -22,8 +22,9 @@ spin grows with ω · (z + c) / (1 + c_z), because S turns perpendicular to z + 
 the tolerance; within the tolerance, it does not count.
 
 References
----------- Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method (IEEE T-RO 27, 2011):
-the squared damping is proportional to the squared error, so the last steps are Newton's.
+----------
+Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method (IEEE T-RO 27, 2011): the squared
+damping is proportional to the squared error, so the last steps are Newton's.
 """
 
 import numpy as np
@@ -79,7 +80,7 @@ REACHED = 1e-10
 # well for five arms.
 DAMPING, LEAST_DAMPING = 0.02, 1e-24
 
-LONGEST = 1.0  # Largest turn of a joint in one step [rad].
+LONGEST = 1.0  # Largest turn of a joint [rad], or slide of a joint with limits [m], in one step.
 
 # PATIENCE is the number of steps between two checks of a seed. A seed is abandoned unless its squared error is less
 # than GAIN times its squared error at the previous check.
@@ -265,7 +266,7 @@ def _solved(columns, twists, fault, damping, matrix):
 
 @inline
 def _step(ranges, y, q, twists):
-    """Move eight configurations by Jᵀ y, shortened so that no joint turns too far, and kept within the limits."""
+    """Move eight configurations by Jᵀ y, shortened so that no joint moves too far, and kept within the limits."""
     most = broadcast(LONGEST)
     for column in range(ranges.shape[1]):
         at = column * (FAULTS * LANES)

@@ -51,7 +51,7 @@ _BOX = _HALF_CHORD + LANES
 _WHOLE = _BOX + 6 * LANES
 BODY = _WHOLE + LANES
 
-SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # Bits that record the written data of a body: bounds, pieces, poses.
+SWEPT, PLACED_PIECES, PLACED = 1, 2, 4  # Bits for the data of a body that are written: bounds, pieces, poses.
 
 # Offsets of the numbers of a group of static bodies, see `records.MotionTables`.
 _MARGIN = 6 * LANES

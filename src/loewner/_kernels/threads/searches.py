@@ -218,7 +218,7 @@ def search(upper, first, last, swept, lower, n, keep, off):
             B = A
         else:
             f, g, h, base, normals = faces(A, B, C, E)
-            # The origin is certainly inside if its distance from every face exceeds the error of a point.
+            # The origin is certainly inside if it is behind every face, by more than the error of a point.
             cube = SINGLE_ROUNDOFF * largest * sqrt(largest)
             last_normal = cross(minus(E, B), minus(C, B))
             inside = (f < -_slack(normals[0], point_off, VOLUME_ERROR * cube)) & three

@@ -334,7 +334,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         return count
     lx, ly, lz, ux, uy, uz = _query(boxes, level_start[1] + leaf // WIDE, leaf % WIDE, margin)
     node = leaf
-    # On one of the levels, each later leaf descends from a node that follows `node` in its group.
+    # Each later leaf descends from a node that, on one of the levels, follows `node` in the same group.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)

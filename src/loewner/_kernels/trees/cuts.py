@@ -1,7 +1,7 @@
 """Surfaces cut into parts, with a box and an ellipsoid around each part: proofs of motions use the parts.
 
 The part whose box has the most empty space is cut next. The cut is across an axis of the box, at the place that makes
-the boxes of both halves smallest. At most about five hundred items of the part determine the place. These items are
+the boxes of both halves smallest. At most about a thousand items of the part determine the place. These items are
 sorted into bins along each axis, and only the items next to the best boundary are sorted one by one. The cut is halfway
 between the two items on either side of the place, for example between two walls.
 
@@ -21,13 +21,13 @@ from loewner._kernels.trees.triangle_tree import principal, put_range
 
 # THICKNESS is the assumed thickness of a flat part, relative to the longest side of a box around all triangles.
 # FLAT_BOX is the thickness that is added to each side of a box, relative to its longest side, so that the shorter of
-# two flat boxes with equal areas is chosen. FLAT_OVAL and DIGITS bound the half widths of the box around an ellipsoid
-# from below, relative to the longest half width and to the largest coordinate.
+# two flat boxes with equal areas is chosen. FLAT_OVAL and DIGITS are the least half widths of a part's box in the
+# search for its ellipsoid, relative to the longest half width and to the largest coordinate.
 THICKNESS, FLAT_BOX, FLAT_OVAL, DIGITS = 0.01, 0.01, 1e-4, 1e-8
 
-# Inverse of the least fraction of the sampled items on either side of a cut between bins. If the cut is then refined
-# among the items of two bins, half of this fraction suffices. With 16 instead of 4, each cut would often leave three
-# quarters of a part on one side, and no more would be proven.
+# Inverse of the least fraction of the sampled items on either side of a cut. If a cut between bins is refined among the
+# items of two bins, half of this fraction suffices. With 16 instead of 4, each cut would often leave three quarters of
+# a part on one side, and no more would be proven.
 LEAST_SHARE = 4
 
 # MOST_ASKED is the maximum number of triangles from which the axes of a box are computed. LOOKS is the number of

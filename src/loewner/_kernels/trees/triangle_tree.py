@@ -463,7 +463,7 @@ def _best_split(box, first, last, low, scale, used, bins):
             store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
             held[row] += 1
     best_axis, best_bin, least = -1, 0, np.inf
-    above = 3 * BINS  # Row above + k holds the box around the contents of bins k and higher.
+    above = 3 * BINS  # If k > 0, row above + k holds the box around the contents of bins k and higher.
     for axis in range(3):
         around = nothing
         for k in range(used - 1, 0, -1):
