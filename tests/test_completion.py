@@ -68,6 +68,13 @@ def test_fish_completes(line, capsys, tmp_path):
     assert sorted(row.split("\t")[0] for row in out.splitlines()) == CASES[line]
 
 
+def test_zsh_offers_files_for_every_argument(capsys):
+    """The pattern of arguments of any number is one that zsh repeats."""
+    text = script("zsh", capsys)
+    assert '"*:saved bodies (.npz) or meshes:_files"' in text
+    assert '"(*)' not in text
+
+
 @pytest.mark.parametrize("shell", SHELLS)
 def test_scripts_are_valid(shell, capsys, tmp_path):
     """The shells read the scripts without a fault, and no help has a placeholder left."""

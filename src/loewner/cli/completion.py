@@ -26,7 +26,8 @@ class PrintCompletion(argparse.Action):
         for action in _actions(parser):
             if action.choices is None and action.nargs != 0:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]
-        print(shtab.complete(parser, shell))
+        # For arguments of any number, shtab writes a pattern of zsh that offers files for the first one only.
+        print(shtab.complete(parser, shell).replace('"(*)::', '"*:').replace('"(*):', '"*:'))
         parser.exit()
 
 
