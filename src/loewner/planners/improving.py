@@ -64,7 +64,7 @@ class Improve:
     ----------
     seconds : float, optional
         Improve until this time has passed since the beginning of the call. The first path is returned in any case. If
-        only `iterations` is given, the limit on the time is the timeout of the search.
+        only ``iterations`` is given, the limit on the time is the timeout of the search.
     iterations : int, optional
         Limit on the number of rounds. Equal numbers of rounds and equal seeds lead to equal paths, unless the time runs
         out first.
@@ -73,8 +73,9 @@ class Improve:
         metres and radians comparable. A joint with a large weight moves little. Default: 1 for each value.
     clearance : float, optional
         Distance [m] that the path should keep from the bodies of the scene where possible. The clearance is a
-        preference, not a constraint. At smaller distances, a motion costs up to ten times its length. Half of the
-        rounds move the path away from the bodies. If the distance must be kept everywhere, use `Scene.margin` instead.
+        preference, not a constraint. At smaller distances, a motion costs up to ten times its length. At least
+        half of the rounds move the path away from the bodies. If the distance must be kept everywhere, use
+        `Scene.margin` instead.
 
     Raises
     ------
