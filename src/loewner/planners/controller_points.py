@@ -68,8 +68,8 @@ class Origin:
     touching : dict
         Links that a carried body may touch, by the name of the body.
     free : tuple of str
-        Bodies that the robot carries in another part of the message, but not during these points. Queries raise an
-        error if the scene has attached such a body.
+        Bodies that the robot carries in another part of the message, but not while it follows these points. Queries
+        raise an error if the scene has attached such a body.
     straight : tuple of str
         Columns of a base, which are interpolated by straight lines although other columns have velocities.
     """

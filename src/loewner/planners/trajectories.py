@@ -99,8 +99,8 @@ class Trajectory(KeepsReadOnly):
         jump.
     jumps : bool
         Whether velocities jump at these times. If ``bends`` is None, velocities are constant in between. Otherwise,
-        ``bends`` are the accelerations just after these times, and accelerations change linearly in between, as on a
-        brake through joint targets (`stop_at`).
+        ``bends`` are the accelerations just after these times, and accelerations change linearly in between, as they do
+        when braking through joint targets (`stop_at`).
     start_time : float
         Time at which the trajectory starts, in seconds on the clock of bodies that follow motions (`Scene.follow`).
         `CollisionChecker.certify_trajectory` uses this time by default. For a trajectory ``moved``,

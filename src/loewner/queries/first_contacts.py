@@ -72,7 +72,7 @@ def first_contact(
     tolerance: float = 1e-6,
     margin: float = 0.0,
 ) -> FirstContact:
-    """Compute when two bodies that move and turn first touch, and prove that they do not touch before.
+    """Compute when two moving and turning bodies first touch, and prove that they do not touch earlier.
 
     The origin of a body moves along a straight line between its two poses, at a constant speed. At the same time, the
     body turns the shorter way, also at a constant rate, about an axis through its origin.

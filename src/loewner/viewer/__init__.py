@@ -2,7 +2,7 @@
 
 By default, only this machine can open the page (see `host` of `show_pair`). The page loads nothing from other
 addresses. `pair` and `robot` are the two pages, built from `page`, `visuals`, `drawing`, `framing` and `style`.
-`playing` moves along trajectories, `screenshots` takes pictures, and `guard` controls access.
+`playing` plays back trajectories, `screenshots` takes pictures, and `guard` controls access.
 """
 
 from loewner.viewer.pair import PairViewer, show_pair

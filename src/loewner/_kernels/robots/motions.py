@@ -101,12 +101,11 @@ MOST_BLOCKS = MOST_INTERVALS // 7
 # free motion.
 CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # certified.md B32
 
-# An unproven interval counts as AMBIGUOUS once its points move by no more than this fraction of the tolerance;
+# An unproven interval counts as AMBIGUOUS once no point moves by more than this fraction of the tolerance within it;
 # `_enough` computes the exact limit. The rest of the tolerance is left for the convergence of the search.
 DECIDED = 0.5
 
-# If joints may stray, SETTLED_STRAY times V(δ) takes the place of the tolerance in `_enough` if it is larger (see
-# docs/certified.md).
+# If joints may stray, `_enough` uses the larger of the tolerance and SETTLED_STRAY times V(δ) (see docs/certified.md).
 SETTLED_STRAY = 0.125
 
 # Strays are treated as rounding errors if they move all points by less than ROUNDED_STRAY times the tolerance. This is

@@ -156,7 +156,7 @@ def write_bodies(paths: PackedPaths, begin: Floats, end: Floats, courses: Floats
     courses : ndarray, shape (M, points, 7 bodies)
         Receives the courses.
     off : ndarray, shape (M, 7 bodies + 3 growing)
-        Receives how far values may deviate from the courses, and how far points of bodies may deviate from their
+        Output: how far values may deviate from the courses, and how far points of bodies may deviate from their
         positions, as in `Pieces`.
     """
     values, farthest = WIDTH * len(paths.far), np.maximum(np.abs(begin), np.abs(end))
