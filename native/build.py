@@ -177,8 +177,8 @@ def build(
     """Build for these levels, and for GPUs if requested; older files are replaced only when everything is done.
 
     The files are made in the folder `work`, which may already contain the extension. With ``in_groups``, for a single
-    level, each group has its own object file, which is handed out when it is done. For the groups in `LATER`, the
-    priority is lowered by `nice`.
+    level, each group has its own object file, which is handed out when it is done. As soon as a process has only groups
+    in `LATER` left, it lowers its priority by `nice`.
 
     Returns
     -------

@@ -4,7 +4,7 @@
 
     emit.py                        check Numba itself, for this machine
     emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
-    emit.py ... NICE GROUP ...     begin these groups last, with a priority that is lower by NICE
+    emit.py ... NICE GROUP ...     these groups can wait: if only they are left, lower the priority by NICE
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each

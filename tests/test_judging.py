@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -380,6 +381,12 @@ def test_many_answers_are_refused_unjudged(monkeypatch):
         reproduction(box, None, box, None, depth=np.zeros((100_000, 7)))
     with pytest.raises(InputError, match=r"expected one answer about one pair, found shape \(2, 3\)"):
         reproduction(box, None, box, None, witness_a=np.zeros((2, 3)))
+
+
+def test_engines_return_any_mapping():
+    """Such as a view of a dict that cannot be changed."""
+    box, answers = Body.box([1, 1, 1]), MappingProxyType({"distance": 0.0})
+    assert "DISTANCE_TOO_SMALL" in reproduction(box, None, box, translation(1.5), engine=lambda a, b: answers)
 
 
 @pytest.mark.parametrize(

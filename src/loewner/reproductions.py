@@ -168,7 +168,7 @@ def reproduction(
 
 
 def _judged(
-    corners: list[Floats], poses: list[Floats], answers: dict[str, Any], tolerance: float
+    corners: list[Floats], poses: list[Floats], answers: Answers, tolerance: float
 ) -> tuple[list[Body], Judgement]:
     """Make two hulls, and judge one answer about them; arrays of answers are refused unjudged, which saves seconds."""
     bodies = [Body.from_points(points) for points in corners]
@@ -201,9 +201,9 @@ def _reduced(
 
     def asked(trial: list[Floats]) -> tuple[dict[str, Any], Judgement]:
         answers = engine(trial[0], trial[1])
-        if not isinstance(answers, dict) or not answers.keys() <= {*PARTS} - {"witnesses"}:
+        if not isinstance(answers, Mapping) or not answers.keys() <= {*PARTS} - {"witnesses"}:
             raise InputError(f"engine: expected a dict of answers, found {_validate.short(answers)}")
-        return answers, _judged(trial, poses, answers, tolerance)[1]
+        return dict(answers), _judged(trial, poses, answers, tolerance)[1]
 
     answers, said = asked(corners)
     worst = Finding(int(said.kinds[np.argmax(said.excess)]))

@@ -22,7 +22,7 @@ class PrintCompletion(argparse.Action):
         MissingExtraError
             If shtab is not installed.
         """
-        shtab = imported("shtab", "completion scripts", "cli")
+        shtab = imported("shtab", "--print-completion needs shtab", "cli")
         for action in _actions(parser):
             if action.choices is None and action.nargs != 0:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]
