@@ -27,9 +27,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
-from itertools import takewhile
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,8 +59,8 @@ CPU_OF = {"arm64": "generic"}
 # that it calls, so groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
-    "bodies": ("fits.hulls", "fits.pieces", "fits.mv", "pieces.", "trees.piece_tree", "trees.triangle_tree",
-               "narrow.mesh_points", "elementary"),
+    "fits": ("fits.hulls", "fits.pieces", "fits.mv"),
+    "meshes": ("pieces.", "trees.piece_tree", "trees.triangle_tree", "narrow.mesh_points", "elementary"),
     "verdicts": ("pipeline.verdicts", "pipeline.workspace"),
     "paper": ("ellipsoids.", "paper."),
     "robots": ("robots.configurations", "robots.standing", "robots.pair_lists", "robots.kinematics",
@@ -82,6 +82,9 @@ IN_BACKGROUND = 5
 # Figures for estimates of the remaining time: the number of functions, the seconds of one core per function, and the
 # seconds for all objects of a level.
 FUNCTIONS, FUNCTION, LEVEL = 1200, 0.07, 36.0
+
+# On Linux, a process that has imported Numba copies itself; elsewhere, libraries of the system do not survive this.
+COPIES = sys.platform == "linux"
 
 # Options of the C compiler for files that users receive. The linker of macOS has no -s; Windows is untested.
 MAC, WINDOWS = sys.platform == "darwin", sys.platform == "win32"
@@ -202,7 +205,10 @@ def build(
         (work / "sources").write_text(before, encoding="utf-8")
         count = max(processors(), len(levels))
         later = [str(nice), *LATER] if in_groups else []
-        workers = [emission(work, levels[number % len(levels)], str(number), *later) for number in range(count)]
+        numbers = {level: [str(number) for number in range(count)[n :: len(levels)]] for n, level in enumerate(levels)}
+        if COPIES:
+            numbers = {level: [",".join(those)] for level, those in numbers.items()}
+        workers = [emission(work, level, some, *later) for level, those in numbers.items() for some in those]
         objects = [work / f"{level}-{group}.o" for level in levels for group in groups]
         for_c = list[Future[None]]()
 
@@ -217,11 +223,7 @@ def build(
                 done = [name for path in made for name in groups[path.stem.removeprefix(f"{level}-")]]
                 publish([early, work / CALL], home, entries=done)
 
-        # Start the check first. While it runs, there is one process fewer that compiles to byte code the modules that
-        # all processes import.
-        check = Command("check of Numba", [str(HERE / "emit.py")], {}, work / "check")
-        commands = [check, *workers, *([ptx(work / _ptx.NAME)] if gpu else [])]
-        functions = build_all(commands, objects, hand_out)
+        functions = build_all([*workers, *([ptx(work / _ptx.NAME)] if gpu else [])], objects, hand_out)
         for library in for_c:
             library.result()
         for level in levels:
@@ -260,10 +262,10 @@ def grouped(names: list[str]) -> dict[str, list[str]]:
     return groups
 
 
-def emission(folder: Path, level: str, number: str, *later: str) -> Command:
-    """Command for one of the processes that share the work in a folder: emit codes and objects of a level."""
-    arguments = [str(HERE / "emit.py"), str(folder), level, number, *later]
-    return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{number}")
+def emission(folder: Path, level: str, numbers: str, *later: str) -> Command:
+    """Command for some of the processes that share the work in a folder: emit codes and objects of a level."""
+    arguments = [str(HERE / "emit.py"), str(folder), level, numbers, *later]
+    return Command(f"kernels for {level}", arguments, told(level), folder / f"worker-{numbers}")
 
 
 def ptx(to: Path) -> Command:
@@ -283,7 +285,7 @@ def build_all(
     """
     start = time.perf_counter()
     waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Command]]()
-    cores = min(processors(), len(commands))
+    cores = processors()
     whole = FUNCTIONS * FUNCTION + LEVEL * len({path.name.rpartition("-")[0] for path in objects})
     next_word, there = start, 0
 
@@ -296,8 +298,8 @@ def build_all(
         share = (min(functions(), FUNCTIONS) * FUNCTION + made * (whole - FUNCTIONS * FUNCTION)) / whole
         expected = (elapsed + FIRST_WEIGHT * whole / cores) / (share + FIRST_WEIGHT)
         left = f"about {max(expected - elapsed, 1):.0f} s left"
-        names = [[line for line in command.lines() if not KEY.search(line)][-1:] for command in commands]
-        what = ", ".join(name for (name,) in filter(None, names)) or "..."
+        names = [[line for line in command.lines() if not KEY.search(line)] for command in commands]
+        what = ", ".join(chain.from_iterable(some[-cores // len(commands) :] for some in names)) or "..."
         print(f"native library: {elapsed:4.0f} s, {left}: {what}", file=sys.stderr, flush=True)
 
     try:
@@ -308,7 +310,9 @@ def build_all(
                 told, log = (command.said.with_suffix(suffix).open("wb") for suffix in (".told", ".log"))
                 with told, log:
                     call = [sys.executable, *command.arguments]
-                    running.append((subprocess.Popen(call, env=environment, stdout=told, stderr=log), command))
+                    group: Any = {} if WINDOWS else {"process_group": 0}
+                    process = subprocess.Popen(call, env=environment, stdout=told, stderr=log, **group)
+                    running.append((process, command))
             time.sleep(0.05)
             for process, command in [one for one in running if one[0].poll() is not None]:
                 running.remove((process, command))
@@ -326,7 +330,8 @@ def build_all(
         return functions()
     finally:
         for process, _ in running:
-            process.kill()
+            with suppress(OSError):
+                process.kill() if WINDOWS else os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
 

@@ -2,9 +2,10 @@
 
 `build.py` runs this file in separate processes:
 
-    emit.py                        check Numba itself, for this machine
-    emit.py FOLDER LEVEL NUMBER    work for one level, as one of several processes that share the work in a folder
-    emit.py ... NICE GROUP ...     these groups can wait: if only they are left, lower the priority by NICE
+    emit.py FOLDER LEVEL NUMBERS   work for one level, as some of several processes that share the work in a folder
+    emit.py ... NICE GROUP ...     these groups can wait; lower the priority by NICE when the first groups are done
+
+NUMBERS are those of the processes, such as 0,1: with several numbers, this process imports Numba and copies itself.
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each
@@ -23,6 +24,7 @@ import ctypes
 import gc
 import importlib
 import json
+import multiprocessing
 import operator
 import os
 import re
@@ -38,10 +40,8 @@ if __name__ == "__main__":
 
 import llvmlite.binding as llvm
 import numba
-import numpy as np
 from llvmlite import ir
-from numba import config, njit, types
-from numba.extending import intrinsic
+from numba import config, types
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
@@ -50,6 +50,7 @@ from loewner._kernels._numba import (
     BaseFunction,
     CPUCodeLibrary,
     Inst,
+    MemInfo,
     NRTContext,
     Var,
     base,
@@ -57,6 +58,7 @@ from loewner._kernels._numba import (
     cpu_target,
     default_manager,
     event,
+    meminfo_alloc,
     postproc,
 )
 from loewner._kernels.simd import vectors
@@ -64,6 +66,7 @@ from loewner._native.entries import ENTRIES, Entry, types_of
 
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"
+FIRST = 2  # the number of groups that are made first, by two processes
 
 
 def remember_operators() -> None:
@@ -278,30 +281,15 @@ REFERENCES, DATA, MEMORY_SIZE = 0, 24, 32
 FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
 
 
-@intrinsic
-def _memory_of(typingctx, array):
-    """Address of the description of an array's memory."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.ptrtoint(context.make_array(array)(context, builder, arguments[0]).meminfo, SLOT)
-
-    return types.int64(array), generate
-
-
-@njit
-def _memory_and_array(size):
-    array = np.zeros(size)
-    return _memory_of(array), array
-
-
 def check_numba() -> None:
     """Refuse a Numba whose arrays, or their memory, lack the layout on which `runtime.c` and the shims rely."""
     fields = tuple(default_manager.lookup(types.float64[::1])._fields)
     if fields != FIELDS:
         raise SystemExit(f"Numba {numba.__version__}: expected arrays of {FIELDS}, found {fields}")
-    address, array = _memory_and_array(1000)
+    address = meminfo_alloc(size := 8000)
+    memory = MemInfo(address)
     words = [ctypes.c_size_t.from_address(address + at).value for at in (REFERENCES, DATA, MEMORY_SIZE)]
-    if words[0] < 1 or words[1] != array.ctypes.data or words[2] < array.nbytes:
+    if words[0] < 1 or words[1] != memory.data or words[2] < size:
         raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({words})")
 
 
@@ -437,17 +425,24 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
     groups = json.loads((folder / "groups.json").read_text(encoding="utf-8"))
     objects = {folder / f"{level}-{group}.o": [folder / f"{name}.code" for name in groups[group]] for group in groups}
     codes = {folder / f"{name}.code": name for name in in_order(groups, number, later)}
-    in_background = {name for group in later for name in groups[group]}
+    stages = {group: (group not in list(groups)[:FIRST]) + (group in later) for group in groups}
+    stage_of_code = {name: stages[group] for group in groups for name in groups[group]}
+    stage_of_object = dict(zip(objects, stages.values(), strict=True))
     before = list[Path]()  # Codes of the groups whose objects are taken.
     parent = os.getppid()
-    first_objects = [folder / f"{level}-{group}.o" for group in groups if group not in later]
 
-    def waited() -> bool:
-        """Return whether an object that programs wait for is not yet taken; each of two processes can then make one."""
-        return not all(path.with_suffix(".taken").exists() for path in first_objects)
+    def is_early(name: str) -> bool:
+        """Return whether an object of an earlier stage is not yet taken; each of two processes can then make one."""
+        return any(
+            stage < stage_of_code[name] and not path.with_suffix(".taken").exists()
+            for path, stage in stage_of_object.items()
+        )
 
     # A parent that is killed cannot end its processes. Therefore, each process checks that the parent still runs.
     while (objects or codes) and os.getppid() == parent:
+        if nice and all(path.exists() for path, stage in stage_of_object.items() if stage == 0):
+            os.nice(nice)
+            nice = 0
         to, needed = next(iter(objects.items()), (None, []))
         if to is not None and all(map(Path.exists, needed)):
             del objects[to]
@@ -455,14 +450,11 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
                 print(to.stem, flush=True)
                 write_object(needed, before, to)
             before += needed
-        elif codes and not (number < 2 and next(iter(codes.values())) in in_background and waited()):
+        elif codes and not (number < 2 and is_early(next(iter(codes.values())))):
             to = next(iter(codes))
             name = codes.pop(to)
             if is_mine(to):
                 print(name, flush=True)
-                if nice and in_background.issuperset([name, *codes.values()]):  # nothing that programs wait for is left
-                    os.nice(nice)
-                    nice = 0
                 write_code(ENTRIES[name], to)
         else:
             time.sleep(0.05)
@@ -470,16 +462,16 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
 
 
 def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
-    """Order the entries for a process: two processes share the first group, from its beginning and from its end.
+    """Order the entries for a process: each of two processes begins with one of the first two groups.
 
-    The second process also takes the other groups in reverse order, so that both processes meet as late as possible.
-    Further processes begin at the other groups in turn. Processes that need the same functions at the same time would
-    wait for each other.
+    The second process takes all entries in reverse order, so that both processes meet as late as possible. Further
+    processes begin at the other groups in turn. Processes that need the same functions at the same time would wait for
+    each other.
     """
     step = -1 if number % 2 else 1
     if number < 2:
-        first, *early = (group for group in groups if group not in later)
-        order = [first, *early[::step], *later[::step]]
+        early = [group for group in groups if group not in later]
+        order = [*early[:FIRST][::step], *early[FIRST:][::step], *later[::step]]
     else:
         at = number % len(groups)
         backwards = list(groups)[::-1]
@@ -496,8 +488,9 @@ def is_mine(to: Path) -> bool:
     return True
 
 
-def main(folder: Path, level: str, number: str, nice: str = "0", *later: str) -> None:
+def main(folder: Path, level: str, numbers: str, nice: str = "0", *later: str) -> None:
     """Do a share of the work, and print the keys of the functions that are done."""
+    check_numba()
     _parts.PartLibrary.listener = lambda key: print(key, flush=True)
     look_once()
     remember_operators()
@@ -510,9 +503,25 @@ def main(folder: Path, level: str, number: str, nice: str = "0", *later: str) ->
     # time, and half a gigabyte more memory.
     gc.disable()
     expect_sources(folder)
-    work(folder, level, int(number), int(nice), *later)
+    shares = [(folder, level, int(number), int(nice), *later) for number in numbers.split(",")]
+    if len(shares) == 1:
+        work(*shares[0])
+    else:
+        in_processes(shares)
+
+
+def in_processes(shares: list[tuple]) -> None:
+    """Work in copies of this process; end all of them when one fails, or when this process's parent is killed."""
+    parent, copies = os.getppid(), multiprocessing.get_context("fork")
+    processes = [copies.Process(target=work, args=share, daemon=True) for share in shares]
+    for process in processes:
+        process.start()
+    while os.getppid() == parent and None in (ended := [process.exitcode for process in processes]) and not any(ended):
+        time.sleep(0.05)
+    if any(process.exitcode != 0 for process in processes):
+        raise SystemExit("one of the processes has failed, or the build was killed")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:]) if sys.argv[1:] else check_numba()
+    main(Path(sys.argv[1]), *sys.argv[2:])
     os._exit(0)  # Python would take seconds to release what Numba holds; every file is complete, and all is printed.

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 import tracemalloc
 from pathlib import Path
 
@@ -166,7 +167,7 @@ def test_every_kernel_is_in_one_group():
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
     """Each file is made once, objects after the code of their entries; groups that can wait come last."""
-    groups = {"first": ["one", "two"], "second": ["three"], "last": ["four", "five"]}
+    groups = {"first": ["one", "two"], "second": ["three"], "third": ["six"], "last": ["four", "five"]}
     (tmp_path / "groups.json").write_text(json.dumps(groups))
     made = []
 
@@ -183,20 +184,91 @@ def test_processes_share_the_work(emit, tmp_path, monkeypatch, number):
     lowered = []
     monkeypatch.setattr(os, "nice", lambda by: lowered.append((by, len(made))))
     emit.work(tmp_path, "x86-64-v3", number, 19, "last")
-    codes = [f"{name}.code" for name in ("two", "three", "four", "five")]
+    codes = [f"{name}.code" for name in ("two", "three", "six", "four", "five")]
     assert sorted(made) == sorted([*codes, *(f"x86-64-v3-{name}.o" for name in groups)])
-    assert made[0] == "two.code"
-    # Once, when only groups that can wait are left; the third process ends with another group.
-    assert lowered == ([] if number == 2 else [(19, 4)])
+    assert made[0] == ("two.code", "three.code", "three.code")[number]
+    assert lowered == [(19, 4)]  # Once, when the first two groups are done.
     emit.work(tmp_path, "x86-64-v3", number, 19, "last")
-    assert len(made) == 7
+    assert len(made) == 9
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_nothing_is_compiled_while_an_earlier_group_can_be_finished(emit, tmp_path, monkeypatch, number):
+    """Two processes wait for each other's first codes, since a long function would delay their objects."""
+    groups = {"first": ["one"], "second": ["two"], "third": ["three"]}
+    (tmp_path / "groups.json").write_text(json.dumps(groups))
+    monkeypatch.setattr(emit, "ENTRIES", {name: name for group in groups.values() for name in group})
+    monkeypatch.setattr(emit, "write_code", lambda entry, to: to.touch())
+    monkeypatch.setattr(emit, "write_object", lambda codes, before, to: to.touch())
+    other = tmp_path / ("two.code", "one.code")[number]
+    assert emit.is_mine(other)  # The other process writes this code, and has written it when this process has waited.
+    monkeypatch.setattr(emit.time, "sleep", lambda seconds: other.touch())
+    order = []
+    monkeypatch.setattr(emit, "print", lambda name, **_: order.append(name), raising=False)
+    emit.work(tmp_path, "v3", number)
+    assert order == [("one", "two")[number], "v3-first", "v3-second", "three", "v3-third"]
+
+
+COPYING = f"""
+import os, sys
+sys.path[:0] = {[str(NATIVE), str(NATIVE.parent / "tests")]}
+import emit, multiprocessing, pathlib, time
+emit.work = lambda path, task: (pathlib.Path(path).write_text(str(os.getpid())), eval(task))
+emit.in_processes([("a", sys.argv[1]), ("b", sys.argv[2])])
+print(os.getpid())
+"""
+
+
+@pytest.mark.skipif(not module("build").COPIES, reason="copies of processes are made on Linux only")
+@pytest.mark.parametrize(("first", "second"), [("0", "0"), ("time.sleep(3600)", "sys.exit(3)"), ("0", "os._exit(3)")])
+def test_a_process_copies_itself_and_ends_when_a_copy_fails(tmp_path, first, second):
+    """Each share is done by a copy of its own; a failure ends the other copies, and nobody waits for them."""
+    command = [sys.executable, "-c", COPYING, first, second]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    if "exit" in second:
+        assert done.returncode == 1
+        assert "one of the processes has failed" in done.stderr
+    else:
+        assert len({done.stdout.strip(), *((tmp_path / name).read_text() for name in "ab")}) == 3
+    for name in "ab":
+        assert not (tmp_path / name).exists() or has_ended(int((tmp_path / name).read_text()))
+
+
+@pytest.mark.skipif(not module("build").COPIES, reason="copies of processes are made on Linux only")
+def test_all_copies_end_with_a_build_that_ends(tmp_path):
+    """A build that is interrupted leaves no process behind that goes on compiling."""
+    build, object_file = module("build"), tmp_path / "level-one.o"
+    code = (
+        "import os, pathlib, sys, time; copy = os.fork(); path = pathlib.Path(sys.argv[1] + 'art')\n"
+        "if copy: path.write_text(f'{os.getpid()} {copy}'); path.rename(sys.argv[1])\n"
+        "time.sleep(3600)"
+    )
+
+    def interrupt(made):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build.build_all(
+            [build.Command("work", ["-c", code, str(object_file)], {}, tmp_path / "work")], [object_file], interrupt
+        )
+    assert all(has_ended(int(number)) for number in object_file.read_text().split())
+
+
+def has_ended(number: int) -> bool:
+    """Whether a process has ended; one that was killed may take a moment."""
+    for _ in range(600):
+        state = Path(f"/proc/{number}/stat")
+        if not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z":
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def test_processes_begin_at_different_places(emit):
-    """Two begin at the ends of the first group, which is soon complete; the others begin at the groups in turn."""
+    """Two begin with the first two groups, which are soon complete; the others begin at the groups in turn."""
     groups = {"first": [*"ab"], "second": [*"cd"], "third": ["e"], "last": [*"fg"]}
     orders = ["".join(emit.in_order(groups, number, ("last",))) for number in range(7)]
-    assert orders == ["abcdefg", "baedcgf", "cdabfge", "bagfedc", "fgecdab", "edcbagf", "cdabfge"]
+    assert orders == ["abcdefg", "dcbaegf", "cdabfge", "bagfedc", "fgecdab", "edcbagf", "cdabfge"]
 
 
 def test_a_process_that_comes_after_an_edit_does_not_share_the_work(emit, tmp_path):

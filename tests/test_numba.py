@@ -120,6 +120,7 @@ def test_attributes_are_there():
     assert isinstance(type(_numba.rtsys).library, property)
     assert all(inspect.isclass(one) for one in _parts.NOT_NEEDED)
     assert hasattr(_numba.default_manager, "lookup")
+    assert _numba.MemInfo(_numba.meminfo_alloc(8)).data  # where the build looks for an array's memory
     assert hasattr(_numba.cpu_target.target_context, "_registries")
     assert hasattr(_numba.global_compiler_lock, "__enter__")
     assert issubclass(_numba.errors.LoweringError, Exception)

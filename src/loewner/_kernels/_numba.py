@@ -14,6 +14,8 @@ from numba.core.compiler_machinery import PassManager
 from numba.core.datamodel.registry import default_manager
 from numba.core.ir import Inst, Var
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime._nrt_python import _MemInfo as MemInfo
+from numba.core.runtime._nrt_python import meminfo_alloc
 from numba.core.runtime.context import NRTContext
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
@@ -24,8 +26,8 @@ from numba.np.arrayobj import populate_array
 
 __all__ = [
     "AbstractTemplate", "BaseFunction", "CPUCodeLibrary", "CPUDispatcher", "CompileResult", "Compiler",
-    "FunctionIdentity", "Inst", "JITCodeLibrary", "NRTContext", "NullCache", "PassManager", "Var", "base", "cgutils",
-    "compile_result", "cpu_target", "default_manager", "dumps", "errors", "event", "global_compiler_lock",
-    "infer_global", "normalize_signature", "populate_array", "postproc", "rtsys", "signature", "typed_passes",
-    "untyped_passes",
+    "FunctionIdentity", "Inst", "JITCodeLibrary", "MemInfo", "NRTContext", "NullCache", "PassManager", "Var", "base",
+    "cgutils", "compile_result", "cpu_target", "default_manager", "dumps", "errors", "event", "global_compiler_lock",
+    "infer_global", "meminfo_alloc", "normalize_signature", "populate_array", "postproc", "rtsys", "signature",
+    "typed_passes", "untyped_passes",
 ]  # fmt: skip
