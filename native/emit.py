@@ -447,18 +447,24 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
         if to is not None and all(map(Path.exists, needed)):
             del objects[to]
             if is_mine(to):
-                print(to.stem, flush=True)
+                say(to.stem)
                 write_object(needed, before, to)
             before += needed
         elif codes and not (number < 2 and is_early(next(iter(codes.values())))):
             to = next(iter(codes))
             name = codes.pop(to)
             if is_mine(to):
-                print(name, flush=True)
+                say(name)
                 write_code(ENTRIES[name], to)
         else:
             time.sleep(0.05)
     _store.remove_unused()
+
+
+def say(line: str) -> None:
+    """Print a line in one piece, because copies of this process print to the same file."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 def in_order(groups: dict[str, list[str]], number: int, later: tuple[str, ...]) -> list[str]:
@@ -491,7 +497,7 @@ def is_mine(to: Path) -> bool:
 def main(folder: Path, level: str, numbers: str, nice: str = "0", *later: str) -> None:
     """Do a share of the work, and print the keys of the functions that are done."""
     check_numba()
-    _parts.PartLibrary.listener = lambda key: print(key, flush=True)
+    _parts.PartLibrary.listener = say
     look_once()
     remember_operators()
     remember_sizes()
