@@ -5,7 +5,7 @@
     emit.py FOLDER LEVEL NUMBERS   work for one level, as some of several processes that share the work in a folder
     emit.py ... NICE GROUP ...     these groups can wait; lower the priority by NICE when the first groups are done
 
-NUMBERS are those of the processes, such as 0,1: with several numbers, this process imports Numba and copies itself.
+NUMBERS name the processes, such as 0,1. With several numbers, this process imports Numba, and then copies itself.
 
 The folder holds `groups.json`, which lists the entries of each group, and `sources`, the hash of the kernels' sources.
 The processes write the code of each entry (`ENTRY.code`), which is the same for all levels, and an object file of each

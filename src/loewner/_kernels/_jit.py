@@ -96,7 +96,7 @@ def _modules(value: Any) -> set[str]:
 
 
 def _identity_of_type(kind: Any) -> Any:
-    """Identity of a type; that of a function is the function's, since its text contains an address in memory."""
+    """Identity of a type. The text of a function's type contains an address, so the function itself is identified."""
     return _identity(kind.dispatcher) if isinstance(kind, types.Dispatcher) else repr(kind)
 
 
