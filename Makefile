@@ -27,9 +27,9 @@ BIN := $(VENV)/bin
 WITHOUT_PIP = $(shell $(PYTHON) -c 'import pip; exit(tuple(map(int, pip.__version__.split(".")[:2])) < (22, 3))' \
   2>/dev/null && echo --without-pip)
 PIP = $(or $(shell cat $(VENV)/.pip 2>/dev/null),$(BIN)/python -m pip) --disable-pip-version-check install --quiet --no-compile
-# Tests start hundreds of interpreters, so byte code of what they may import is made ahead, and of nothing else.
-NEVER_IMPORTED := /(tests?|OpenGL|pip|setuptools|Cython|fontTools|mypyc?|elftools|lexers)/
-COMPILE_ALL := { $(BIN)/python -m compileall -q -j 0 -x '$(NEVER_IMPORTED)' $(VENV)/lib >/dev/null 2>&1 || true; }
+# Tests start hundreds of interpreters, so byte code of what several of them may import is made ahead, and of nothing else.
+RARELY_IMPORTED := /(tests?|OpenGL|pip|setuptools|Cython|fontTools|mypyc?|elftools|lexers|jax|jaxlib)/
+COMPILE_ALL := { $(BIN)/python -m compileall -q -j 0 -x '$(RARELY_IMPORTED)' $(VENV)/lib >/dev/null 2>&1 || true; }
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 # Each file in one process, in the order of tests/conftest.py.
@@ -55,9 +55,8 @@ BUILDING := $(BIN)/python -c 'from loewner._native import library; exit(not libr
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
 
-# $(call built_with,STAMP[,COMMAND]): build the library while the packages of a stamp are installed and a command runs.
-built_with = @{ $(BUILD); } & building=$$!; \
-  { $(MAKE) --no-print-directory $(1)$(if $(2), && $(2)); }; done=$$?; wait $$building; exit $$done
+# $(call built_with,STAMP): build the library while the packages of a stamp are installed.
+built_with = @{ $(BUILD); } & building=$$!; $(MAKE) --no-print-directory $(1); done=$$?; wait $$building; exit $$done
 
 # The build begins when Numba is there, and the demo when the kernels are that it needs first. Kernels that it does not
 # need are built last, and after it; `make test` waits for them.
@@ -75,9 +74,9 @@ begin-build: $(VENV)/.compiler
 test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
 
 test: $(VENV)/.compiler
-	$(call built_with,$(VENV)/.dev,LOEWNER_JIT=1 $(PYTEST) -q -n $(THREADS) $(BY_FILE) -m light tests)
+	$(call built_with,$(VENV)/.dev)
 	$(COMPILE)
-	$(PYTEST) -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz and not light" tests
+	$(PYTEST) -n $(THREADS) $(BY_FILE) -m "not verify and not fuzz" tests
 
 test-torch: $(VENV)/.torch
 	$(BUILD)
@@ -224,8 +223,7 @@ $(VENV)/.demo: $(VENV)/.core $(VENV)/.beside
 # Two processes of pip install half of the packages each. A third one finds what is missing on another system.
 $(VENV)/.dev: requirements/dev.txt requirements/tools.txt requirements/oracles.txt $(VENV)/.demo
 	$(COMPILE_ALL) & $(PIP) --no-deps -r requirements/oracles.txt & $(PIP) --no-deps -r requirements/tools.txt; wait
-	$(PIP) -r requirements/dev.txt
-	@$(COMPILE_ALL)
+	$(COMPILE_ALL) & compiling=$$!; $(PIP) -r requirements/dev.txt; done=$$?; wait $$compiling; exit $$done
 	@touch $@
 
 $(VENV)/.torch: requirements/torch.txt $(VENV)/.dev

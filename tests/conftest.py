@@ -133,12 +133,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.fixture(autouse=True)
 def without_kernels(request: pytest.FixtureRequest) -> None:
-    """Light cases run while the library is built, so one that calls a kernel fails instead of compiling it."""
+    """Light cases run without the library, so one that calls a kernel fails instead of compiling it."""
     if request.node.get_closest_marker("light"):
         monkeypatch = request.getfixturevalue("monkeypatch")
 
         def refused(*_: object) -> None:
-            pytest.fail("a case with the mark `light` called a kernel: it runs while the library is built")
+            pytest.fail("a case with the mark `light` called a kernel: it has to run without the library")
 
         for module, names in ((entries, entries.ENTRIES), (singles, singles.PAIRS)):
             for name in names:

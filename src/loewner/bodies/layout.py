@@ -46,6 +46,7 @@ _WORDS = ["F2", "I2", "F1", "I1", "F2", "S2", "F1", "I1", "I1", "S1", "F2", "I1"
 
 # The corners of a box. Along each axis, 0 is the lower end, and 1 is the upper end.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
+_UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)  # entries of a symmetric matrix
 
 # Range of sizes in which the certificate may start in single precision (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
@@ -422,20 +423,19 @@ def _ellipsoid_columns(
 ) -> Floats:
     """Make a table, and fill in its columns for ellipsoids: centers, shape matrices, and one-sided bounds on sizes."""
     table = np.zeros((len(outer_center), columns.COLUMNS))
+    if len(table) == 0:
+        return table
     # Check sizes before a product can overflow. A factor's entries are no larger than the longest semi-axis.
     largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
-    upper = list(zip(*np.triu_indices(3), strict=True))
     for center, factor, at_center, at_shape in (
         (outer_center, outer_factor, columns.OUTER_CENTER, columns.OUTER_SHAPE),
         (inner_center, inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
     ):
         table[:, at_center : at_center + 3] = center
-        for column, (i, j) in enumerate(upper, at_shape):
+        for column, (i, j) in enumerate(_UPPER, at_shape):
             table[:, column] = dot(factor[:, i], factor[:, j])
-    if len(table) == 0:
-        return table
     outer, inner = np.split(_singular_values(np.concatenate([outer_factor, inner_factor])), 2)
     slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
