@@ -59,10 +59,10 @@ CPU_OF = {"arm64": "generic"}
 # that it calls, so groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
-    "fits": ("fits.hulls", "fits.pieces", "fits.mv"),
-    "meshes": ("pieces.", "trees.piece_tree", "trees.triangle_tree", "narrow.mesh_points", "elementary"),
-    "verdicts": ("pipeline.verdicts", "pipeline.workspace"),
-    "paper": ("ellipsoids.", "paper."),
+    "fits": ("fits.hulls", "fits.pieces"),
+    "meshes": ("pieces.directions", "trees.piece_tree", "trees.triangle_tree", "narrow.mesh_points", "elementary"),
+    "verdicts": ("pipeline.verdicts", "pipeline.workspace", "pieces."),
+    "paper": ("ellipsoids.", "paper.", "fits.mv"),
     "robots": ("robots.configurations", "robots.standing", "robots.pair_lists", "robots.kinematics",
                "low_discrepancy"),
     "motions": ("robots.motions",),
