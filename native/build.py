@@ -59,8 +59,9 @@ CPU_OF = {"arm64": "generic"}
 # that it calls, so groups with many common functions are merged. For other machines, each level has a single object
 # file, which takes the least space.
 GROUPS = {
-    "fits": ("fits.hulls", "fits.pieces"),
-    "meshes": ("pieces.directions", "trees.piece_tree", "trees.triangle_tree", "narrow.mesh_points", "elementary"),
+    "fits": ("fits.pieces",),
+    "meshes": ("fits.hulls", "pieces.directions", "trees.piece_tree", "trees.triangle_tree", "narrow.mesh_points",
+               "elementary"),
     "verdicts": ("pipeline.verdicts", "pipeline.workspace", "pieces."),
     "paper": ("ellipsoids.", "paper.", "fits.mv"),
     "robots": ("robots.configurations", "robots.standing", "robots.pair_lists", "robots.kinematics",
