@@ -431,8 +431,8 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
     before = list[Path]()  # Codes of the groups whose objects are taken.
     parent = os.getppid()
 
-    def is_early(name: str) -> bool:
-        """Return whether an object of an earlier stage is not yet taken; each of two processes can then make one."""
+    def must_wait(name: str) -> bool:
+        """Return whether an object of an earlier stage is not yet taken, because this process may have to make it."""
         return any(
             stage < stage_of_code[name] and not path.with_suffix(".taken").exists()
             for path, stage in stage_of_object.items()
@@ -450,7 +450,7 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
                 say(to.stem)
                 write_object(needed, before, to)
             before += needed
-        elif codes and not (number < 2 and is_early(next(iter(codes.values())))):
+        elif codes and not (number < 2 and must_wait(next(iter(codes.values())))):
             to = next(iter(codes))
             name = codes.pop(to)
             if is_mine(to):
