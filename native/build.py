@@ -73,7 +73,7 @@ GROUPS = {
     "others": ("",),
 }  # fmt: skip
 
-# The demo does not need these groups, so a build in the background compiles them with a lower priority.
+# The demo does not need these groups, so a build in the background compiles them last, with a lower priority.
 LATER = ("distances", "arms", "others")
 
 # IN_BACKGROUND is the difference in priority. A program on a second core is then not slowed down, and the build ends

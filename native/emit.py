@@ -3,7 +3,7 @@
 `build.py` runs this file in separate processes:
 
     emit.py FOLDER LEVEL NUMBERS   work for one level, as some of several processes that share the work in a folder
-    emit.py ... NICE GROUP ...     these groups can wait; lower the priority by NICE when the first groups are done
+    emit.py ... NICE GROUP ...     these groups can wait; lower the priority by NICE when all other objects are taken
 
 NUMBERS name the processes, such as 0,1. With several numbers, this process imports Numba, and then copies itself.
 
@@ -440,9 +440,6 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
 
     # A parent that is killed cannot end its processes. Therefore, each process checks that the parent still runs.
     while (objects or codes) and os.getppid() == parent:
-        if nice and all(path.exists() for path, stage in stage_of_object.items() if stage == 0):
-            os.nice(nice)
-            nice = 0
         to, needed = next(iter(objects.items()), (None, []))
         if to is not None and all(map(Path.exists, needed)):
             del objects[to]
@@ -455,6 +452,9 @@ def work(folder: Path, level: str, number: int, nice: int = 0, *later: str) -> N
             name = codes.pop(to)
             if is_mine(to):
                 say(name)
+                if nice and stage_of_code[name] == max(stages.values()) and not must_wait(name):
+                    os.nice(nice)
+                    nice = 0
                 write_code(ENTRIES[name], to)
         else:
             time.sleep(0.05)
