@@ -35,7 +35,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
 
     console.rule("1. Two meshes of the Panda arm become bodies")
-    hand, link = (fitted(name, out, not chosen.hull) for name in ("hand", "link7"))
+    link, hand = (fitted(name, out, not chosen.hull) for name in ("link7", "hand"))
 
     console.rule(f"2. Are they in collision, at {chosen.poses:,} poses?")
     poses = random_poses(link, hand, chosen.poses)
