@@ -72,7 +72,7 @@ begin-build: $(VENV)/.compiler
 # Linear algebra on several threads in each of several processes takes turns, and several times as long. A third process
 # makes use of two cores while another process waits for a browser, say. What is only computed takes two.
 test fuzz bounds newest test-wheel other-machines: export OPENBLAS_NUM_THREADS := 1
-fuzz bounds: THREADS := 2
+fuzz bounds: THREADS := $(if $(filter file,$(origin THREADS)),2,$(THREADS))
 
 test: $(VENV)/.compiler
 	$(call built_with,$(VENV)/.dev)

@@ -42,7 +42,7 @@ import headers  # noqa: E402
 from loewner._base._threads import processors  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
-from loewner._native.library import CALL, HOME, LIST, LOCK, loaded  # noqa: E402
+from loewner._native.library import CALL, HOME, LIST, LOCK, is_being_built, loaded  # noqa: E402
 from loewner._native.library import levels as built_levels  # noqa: E402
 from loewner.gpu import _ptx  # noqa: E402
 
@@ -318,6 +318,7 @@ def build_all(
             for process, command in [one for one in running if one[0].poll() is not None]:
                 running.remove((process, command))
                 if process.returncode:
+                    end(process)
                     said = command.said.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
                     ended = f"a process ended with status {process.returncode}"
                     raise BuildError(f"{command.what}: {ended}:\n{said.strip()[-4000:]}")
@@ -331,9 +332,14 @@ def build_all(
         return functions()
     finally:
         for process, _ in running:
-            with suppress(OSError):
-                process.kill() if WINDOWS else os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            end(process)
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and the copies of it, which can survive it."""
+    with suppress(OSError):
+        process.kill() if WINDOWS else os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
@@ -416,6 +422,12 @@ def locked(home: Path, held: int | None) -> Iterator[int | None]:
         yield file.fileno()
 
 
+def is_begun_elsewhere(home: Path) -> bool:
+    """Return whether another process builds the present sources, so that programs can wait for it."""
+    begun = (path.read_text(encoding="utf-8") for path in home.glob(".build-*/sources"))
+    return home == HOME and is_being_built() and source_hash() in begun
+
+
 def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
     """Run this command again in a process that stays, and hand the lock and the folder on to that process."""
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -443,8 +455,15 @@ def main() -> int:
         all_levels = LEVELS.get(architecture())
         if all_levels is None:
             raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
+        in_background = options.log is not None and options.work is None
+        if in_background and is_begun_elsewhere(options.to):
+            print("native library: already being built by another process", file=sys.stderr)
+            return 0
         with ExitStack() as stack:
             lock = stack.enter_context(locked(options.to, options.lock)) if options.to == HOME else None
+            if lock is not None and options.work is None:
+                for left in options.to.glob(".build-*"):  # A build that was killed has left its folder.
+                    shutil.rmtree(left, ignore_errors=True)
             work = options.work or folder_for(options.to)
             stack.callback(shutil.rmtree, work)
             in_groups = options.levels == "machine"
@@ -455,7 +474,7 @@ def main() -> int:
                 raise BuildError(f"--levels: expected some of {', '.join(all_levels)}, found {options.levels}")
             if is_built(levels, options.to, options.gpu):
                 return 0
-            if options.log is not None and options.work is None:
+            if in_background:
                 go_on_in_background(lock, work, options.log)
                 stack.pop_all()  # The other process now owns the lock and the folder.
                 return 0
@@ -471,6 +490,9 @@ def main() -> int:
     except (BuildError, OSError) as error:
         print(f"native library: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("native library: interrupted", file=sys.stderr)
+        return 130
     return 0
 
 

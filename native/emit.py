@@ -37,6 +37,7 @@ from pathlib import Path
 # Numba imports SciPy if it is installed. No kernel needs SciPy, and pip may be writing its files at this moment.
 if __name__ == "__main__":
     sys.modules["scipy"] = None
+    BUILD = os.getppid()  # The imports take seconds, and the build may be killed meanwhile.
 
 import llvmlite.binding as llvm
 import numba
@@ -494,7 +495,7 @@ def is_mine(to: Path) -> bool:
     return True
 
 
-def main(folder: Path, level: str, numbers: str, nice: str = "0", *later: str) -> None:
+def main(build: int, folder: Path, level: str, numbers: str, nice: str = "0", *later: str) -> None:
     """Do a share of the work, and print the keys of the functions that are done."""
     check_numba()
     _parts.PartLibrary.listener = say
@@ -509,25 +510,28 @@ def main(folder: Path, level: str, numbers: str, nice: str = "0", *later: str) -
     # time, and half a gigabyte more memory.
     gc.disable()
     expect_sources(folder)
+    if os.getppid() != build:
+        raise SystemExit("the build was killed")
     shares = [(folder, level, int(number), int(nice), *later) for number in numbers.split(",")]
     if len(shares) == 1:
         work(*shares[0])
     else:
-        in_processes(shares)
+        in_processes(build, shares)
 
 
-def in_processes(shares: list[tuple]) -> None:
-    """Work in copies of this process; end all of them when one fails, or when this process's parent is killed."""
-    parent, copies = os.getppid(), multiprocessing.get_context("fork")
+def in_processes(build: int, shares: list[tuple]) -> None:
+    """Work in copies of this process; end all of them when one fails, or when the build's process is killed."""
+    copies = multiprocessing.get_context("fork")
     processes = [copies.Process(target=work, args=share, daemon=True) for share in shares]
     for process in processes:
         process.start()
-    while os.getppid() == parent and None in (ended := [process.exitcode for process in processes]) and not any(ended):
+    while None in (ended := [process.exitcode for process in processes]) and not any(ended) and os.getppid() == build:
         time.sleep(0.05)
     if any(process.exitcode != 0 for process in processes):
-        raise SystemExit("one of the processes has failed, or the build was killed")
+        found = ", ".join(str(status) for status in ended if status) or "none: the build was killed"
+        raise SystemExit(f"a copy of the process has failed; its status: {found}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    main(BUILD, Path(sys.argv[1]), *sys.argv[2:])
     os._exit(0)  # Python would take seconds to release what Numba holds; every file is complete, and all is printed.

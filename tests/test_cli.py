@@ -23,7 +23,7 @@ import made_parts
 from families import translation
 from gantry import LEFT, RADIUS, RIGHT, clearance, gantry
 from loewner import cli, planners
-from loewner._native import library
+from loewner._native import entries, library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
 from loewner.cli.main import _parser, _with_option
@@ -514,7 +514,23 @@ def test_compile_tells_each_part_in_a_log(capsys, monkeypatch, tmp_path):
 def test_compile_has_nothing_to_do_beside_a_library(capsys, monkeypatch):
     """Where the native library is in use, the command says so, and compiles nothing."""
     monkeypatch.setattr(library, "level", lambda: "x86-64-v3")
+    monkeypatch.setattr(entries, "missing", list)
     assert run(capsys, "compile")[:2] == (0, "nothing to compile: the native library is in use (x86-64-v3)\n")
+
+
+@pytest.mark.parametrize(
+    ("is_running", "told"), [(True, "of its 84 kernels are still"), (False, "run native/build.py")]
+)
+def test_compile_tells_what_a_library_lacks(capsys, monkeypatch, is_running, told):
+    """While a build goes on, and after one that was stopped, nobody is told that there is nothing to compile."""
+    monkeypatch.setattr(library, "level", lambda: "x86-64-v3")
+    monkeypatch.setattr(library, "built_with", lambda: "1.2.3")
+    monkeypatch.setattr(library, "is_being_built", lambda: is_running)
+    monkeypatch.setattr(library, "_opened_list", {"entries": ["settle_range"]})
+    status, out, _ = run(capsys, "compile")
+    assert (status, told in out) == (0, True)
+    assert "83 of its 84" in out
+    assert "without 83 kernels" in run(capsys, "info")[1]
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,11 @@ import sys
 import zipfile
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
 import loewner
 from loewner._kernels import _jit, _sealed, _sources, _store
-from loewner._kernels._numba import cpu_target
 from loewner._native import library
 from loewner._native.entries import ENTRIES
 from loewner.cli import compilation
@@ -395,19 +393,6 @@ def test_an_unknown_part_is_told():
 
 
 @pytest.mark.verify  # without its byte code, the whole package is compiled
-def test_a_part_that_takes_a_function_has_one_key_in_all_processes():
-    """A function's address would give the part another key in each process, and an edit would compile it again."""
-
-    def written(factor):
-        return numba.njit(lambda x: factor * x)
-
-    codegen, kernel = cpu_target.target_context.codegen(), _jit._Cache(written(0.0).py_func, "part")
-    passed = [written(factor) for factor in (1.0, 1.0, 2.0)]
-    keys = [kernel._key([numba.types.Dispatcher(one)], codegen) for one in passed]
-    assert keys[0] == keys[1]
-    assert keys[0] != keys[2]
-
-
 def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
     """From a zip, where two versions could not be told apart, nothing is written and nothing read."""
     archive, home = tmp_path / "app.zip", Path(loewner.__file__).parent

@@ -215,7 +215,7 @@ import os, sys
 sys.path[:0] = {[str(NATIVE), str(NATIVE.parent / "tests")]}
 import emit, multiprocessing, pathlib, time
 emit.work = lambda path, task: (pathlib.Path(path).write_text(str(os.getpid())), eval(task))
-emit.in_processes([("a", sys.argv[1]), ("b", sys.argv[2])])
+emit.in_processes(os.getppid(), [("a", sys.argv[1]), ("b", sys.argv[2])])
 print(os.getpid())
 """
 
@@ -228,7 +228,7 @@ def test_a_process_copies_itself_and_ends_when_a_copy_fails(tmp_path, first, sec
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     if "exit" in second:
         assert done.returncode == 1
-        assert "one of the processes has failed" in done.stderr
+        assert "a copy of the process has failed; its status: 3" in done.stderr
     else:
         assert len({done.stdout.strip(), *((tmp_path / name).read_text() for name in "ab")}) == 3
     for name in "ab":
@@ -236,23 +236,55 @@ def test_a_process_copies_itself_and_ends_when_a_copy_fails(tmp_path, first, sec
 
 
 @pytest.mark.skipif(not module("build").COPIES, reason="copies of processes are made on Linux only")
-def test_all_copies_end_with_a_build_that_ends(tmp_path):
-    """A build that is interrupted leaves no process behind that goes on compiling."""
+@pytest.mark.parametrize("first", ["time.sleep(3600)", "sys.exit(3)"])
+def test_all_copies_end_with_a_build_that_ends(tmp_path, first):
+    """Neither a build that is interrupted nor one whose first process has failed leaves a process that compiles on."""
     build, object_file = module("build"), tmp_path / "level-one.o"
     code = (
         "import os, pathlib, sys, time; copy = os.fork(); path = pathlib.Path(sys.argv[1] + 'art')\n"
         "if copy: path.write_text(f'{os.getpid()} {copy}'); path.rename(sys.argv[1])\n"
-        "time.sleep(3600)"
+        f"{first} if copy else time.sleep(3600)"
     )
 
     def interrupt(made):
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises((KeyboardInterrupt, build.BuildError)):
         build.build_all(
             [build.Command("work", ["-c", code, str(object_file)], {}, tmp_path / "work")], [object_file], interrupt
         )
     assert all(has_ended(int(number)) for number in object_file.read_text().split())
+
+
+def test_a_second_build_in_the_background_does_not_wait(tmp_path, monkeypatch):
+    """Only if another process builds the present sources; those of a build that was killed do not count."""
+    build = module("build")
+    monkeypatch.setattr(build, "HOME", tmp_path)
+    sources = tmp_path / ".build-1" / "sources"
+    sources.parent.mkdir()
+    told = []
+    for is_running, text in ((True, source_hash()), (True, "0" * 64), (False, source_hash())):
+        monkeypatch.setattr(build, "is_being_built", lambda is_running=is_running: is_running)
+        sources.write_text(text)
+        told.append(build.is_begun_elsewhere(tmp_path))
+    assert told == [True, False, False]
+
+
+def test_an_interrupted_build_says_so_and_removes_what_others_left(tmp_path, monkeypatch, capsys):
+    """One line instead of a traceback; a folder of a build that was killed does not stay for good."""
+    build = module("build")
+
+    def interrupt(folder):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(build, "HOME", tmp_path)
+    monkeypatch.setattr(build, "machine_level", interrupt)
+    monkeypatch.setattr(build.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(sys, "argv", ["build.py", "--to", str(tmp_path)])
+    (tmp_path / ".build-1").mkdir()
+    assert build.main() == 130
+    assert capsys.readouterr().err == "native library: interrupted\n"
+    assert not list(tmp_path.glob(".build-*"))
 
 
 def has_ended(number: int) -> bool:

@@ -95,15 +95,8 @@ def _modules(value: Any) -> set[str]:
     return {function.__module__}.union(*(_modules(cell.cell_contents) for cell in function.__closure__ or ()))
 
 
-def _identity_of_type(kind: Any) -> Any:
-    """Identity of a type. The text of a function's type contains an address, so the function itself is identified."""
-    return _identity(kind.dispatcher) if isinstance(kind, types.Dispatcher) else repr(kind)
-
-
 def _modules_of_type(kind: Any) -> set[str]:
-    """Modules that define a type or a function, except Numba's modules."""
-    if isinstance(kind, types.Dispatcher):
-        return _modules(kind.dispatcher)
+    """Modules that define a type, except Numba's modules."""
     if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
         named = {kind.instance_class.__module__}
     else:
@@ -142,7 +135,7 @@ class _Cache(NullCache):
         triple, cpu, features = codegen.magic_tuple()
         # A part has one code for all processors that can fuse products, and another code for all that cannot.
         target = (triple, _fused.can_fuse(cpu, features)) if self._form == "part" else (triple, cpu, features)
-        made_of = MADE_WITH, self._form, [*map(_identity_of_type, signature)], target, _identity(self._kernel)
+        made_of = MADE_WITH, self._form, repr(signature), target, _identity(self._kernel)
         module = self._kernel.__module__.removeprefix("loewner._kernels.")
         return _store.key_of(f"{module}.{self._kernel.__qualname__}", made_of, self._behind(signature))
 

@@ -160,3 +160,8 @@ def types_of(words: str) -> tuple[Any, ...]:
         return types.Array(kinds[text[0]], int(text[1:]), "C", readonly=word.startswith("c"))
 
     return tuple(map(type_of, words.split()))
+
+
+def missing() -> list[str]:
+    """Return the names of the kernels that the library in use lacks, because its build goes on or has ended early."""
+    return [name for name, entry in ENTRIES.items() if library.is_missing(entry)]

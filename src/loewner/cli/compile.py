@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from loewner._native import library
+from loewner._native import entries, library
 from loewner.cli.compilation import PARTS, compile_kernels
 from loewner.cli.output import progress_of
 
@@ -20,7 +20,13 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     if (level := library.level()) is not None:
-        print(f"nothing to compile: the native library is in use ({level})")
+        text = f"the native library is in use ({level})"
+        if not (missing := entries.missing()):
+            print(f"nothing to compile: {text}")
+        elif library.is_being_built():
+            print(f"{text}, and {len(missing)} of its {len(entries.ENTRIES)} kernels are still being built")
+        else:
+            print(f"{text} without {len(missing)} of its {len(entries.ENTRIES)} kernels; run native/build.py again")
         return 0
     if sys.stderr.isatty():
         with progress_of("compiling") as progress:

@@ -12,7 +12,7 @@ from typing import Any
 import loewner
 from loewner._base._threads import get_num_threads
 from loewner._kernels._sources import cache_folder
-from loewner._native import library
+from loewner._native import entries, library
 from loewner.errors import LoewnerError
 
 # Packages that each extra installs.
@@ -68,7 +68,8 @@ def _told(what: Callable[[], str]) -> str:
 def _kernels() -> str:
     """Describe how the kernels run."""
     if (level := library.level()) is not None:
-        return f"native library, {level}, built with Numba {library.built_with()}"
+        without = f", without {len(entries.missing())} kernels" if entries.missing() else ""
+        return f"native library, {level}, built with Numba {library.built_with()}{without}"
     if installed("numba") == MISSING:
         return f"none: no library ({library.why_not()}), and no Numba; pip install 'loewner[jit]'"
     return f"compiled by Numba on this machine; no native library ({library.why_not()})"
