@@ -424,8 +424,11 @@ def locked(home: Path, held: int | None) -> Iterator[int | None]:
 
 def is_begun_elsewhere(home: Path) -> bool:
     """Return whether another process builds the present sources, so that programs can wait for it."""
-    begun = (path.read_text(encoding="utf-8") for path in home.glob(".build-*/sources"))
-    return home == HOME and is_being_built() and source_hash() in begun
+    if home != HOME or not is_being_built():
+        return False
+    with suppress(OSError):  # The other build may end now, and remove its folder.
+        return source_hash() in [path.read_text(encoding="utf-8") for path in home.glob(".build-*/sources")]
+    return False
 
 
 def go_on_in_background(lock: int | None, work: Path, log: Path) -> None:
@@ -456,7 +459,7 @@ def main() -> int:
         if all_levels is None:
             raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
         in_background = options.log is not None and options.work is None
-        if in_background and is_begun_elsewhere(options.to):
+        if in_background and not options.gpu and is_begun_elsewhere(options.to):
             print("native library: already being built by another process", file=sys.stderr)
             return 0
         with ExitStack() as stack:

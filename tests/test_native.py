@@ -236,8 +236,8 @@ def test_a_process_copies_itself_and_ends_when_a_copy_fails(tmp_path, first, sec
 
 
 @pytest.mark.skipif(not module("build").COPIES, reason="copies of processes are made on Linux only")
-@pytest.mark.parametrize("first", ["time.sleep(3600)", "sys.exit(3)"])
-def test_all_copies_end_with_a_build_that_ends(tmp_path, first):
+@pytest.mark.parametrize(("first", "is_interrupted"), [("time.sleep(3600)", True), ("sys.exit(3)", False)])
+def test_all_copies_end_with_a_build_that_ends(tmp_path, first, is_interrupted):
     """Neither a build that is interrupted nor one whose first process has failed leaves a process that compiles on."""
     build, object_file = module("build"), tmp_path / "level-one.o"
     code = (
@@ -246,13 +246,13 @@ def test_all_copies_end_with_a_build_that_ends(tmp_path, first):
         f"{first} if copy else time.sleep(3600)"
     )
 
-    def interrupt(made):
-        raise KeyboardInterrupt
+    def hand_out(made):
+        if is_interrupted:
+            raise KeyboardInterrupt
 
-    with pytest.raises((KeyboardInterrupt, build.BuildError)):
-        build.build_all(
-            [build.Command("work", ["-c", code, str(object_file)], {}, tmp_path / "work")], [object_file], interrupt
-        )
+    work = build.Command("work", ["-c", code, str(object_file)], {}, tmp_path / "work")
+    with pytest.raises(KeyboardInterrupt if is_interrupted else build.BuildError):
+        build.build_all([work], [object_file], hand_out)
     assert all(has_ended(int(number)) for number in object_file.read_text().split())
 
 
@@ -268,6 +268,10 @@ def test_a_second_build_in_the_background_does_not_wait(tmp_path, monkeypatch):
         sources.write_text(text)
         told.append(build.is_begun_elsewhere(tmp_path))
     assert told == [True, False, False]
+    monkeypatch.setattr(build, "is_being_built", lambda: True)
+    sources.unlink()
+    sources.symlink_to(tmp_path / "removed meanwhile")
+    assert not build.is_begun_elsewhere(tmp_path)
 
 
 def test_an_interrupted_build_says_so_and_removes_what_others_left(tmp_path, monkeypatch, capsys):

@@ -68,7 +68,7 @@ def _told(what: Callable[[], str]) -> str:
 def _kernels() -> str:
     """Describe how the kernels run."""
     if (level := library.level()) is not None:
-        without = f", without {len(entries.missing())} kernels" if entries.missing() else ""
+        without = f", without {len(missing)} kernels" if (missing := entries.missing()) else ""
         return f"native library, {level}, built with Numba {library.built_with()}{without}"
     if installed("numba") == MISSING:
         return f"none: no library ({library.why_not()}), and no Numba; pip install 'loewner[jit]'"
